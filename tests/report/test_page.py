@@ -498,3 +498,16 @@ def test_a_set_is_shown_with_the_coverage_of_the_analyses_that_there_are_now(x_i
             charts.append(read_report_data(opened).coverage_curves["wttc"])
     assert len(charts[0].to_selected) == len(charts[1].to_selected) == 30
     assert charts[0].reach[-1] != charts[1].reach[-1]
+
+
+def test_near_misses_are_named_where_nothing_collides_and_lead_to_their_replays(path, tmp_path):
+    with StudyFile.open(path, readonly=True) as study:
+        data = read_report_data(study)
+    assert not data.hardest_impacts
+    answers = {one.name: one for one in page_answers(data)}
+    nearest = min(data.approaches, key=lambda scenario: (data.approaches[scenario].gap, scenario))
+    assert answers["collisions"].points[0].startswith(f"Near miss in scenario {nearest}: ")
+    gaps = [data.approaches[int(re.search(r"scenario (\d+)", one)[1])].gap for one in answers["collisions"].points]
+    assert gaps == sorted(gaps)
+    assert f"in scenario {nearest}: {data.approaches[nearest].gap:.2g} m from B" in answers["fix"].text
+    assert f"Near miss in <a href='#id={nearest}'>scenario {nearest}</a>: " in page_of(path, tmp_path)

@@ -17,6 +17,7 @@ from cornercase.recordings import Recording
 from cornercase.reduction._coverage import CoverageCurves
 from cornercase.reduction._set_manifest import read_coverage_curves
 from cornercase.report._estimates import MissedFractionAfter, estimate_missed_fractions
+from cornercase.report._near_misses import NearMiss, find_closest_approach
 from cornercase.report._road_drawing import add_road_margin
 from cornercase.report._summary import Summary, entities_hit_by_ego, summarize_with_collisions
 from cornercase.roads._outline import Region
@@ -50,6 +51,7 @@ class ReportData:
     courses: Mapping[str, Mapping[int, Float32Array]]  # capped courses by metric and id, shape (T,); only for figures
     entities_hit: Mapping[int, frozenset[str]]  # entities the ego collides with, by id
     hardest_impacts: Mapping[int, Impact]  # by id: the ego's fastest collision with one of the others
+    approaches: Mapping[int, NearMiss]  # by id: how near the ego came to one of the others, if it met one
     examples: Mapping[int, Recording]  # recordings of the clusters' examples, by id
     values: FloatArray  # parameters, shape (n, d); indices for choices
     influential_parameters: tuple[
@@ -104,6 +106,7 @@ def read_report_data(
     courses: dict[str, dict[int, Float32Array]] = {metric.name: {} for metric in metrics}
     touched: dict[int, frozenset[str]] = {}
     impacts: dict[int, tuple[Impact, ...]] = {}
+    approaches: dict[int, NearMiss] = {}
     region: Region | None = None
     for count, (scenario, digest) in enumerate(study.iter_digests()):
         if not count and memory is not None:
@@ -113,6 +116,8 @@ def read_report_data(
             lines[metric.name][scenario] = line
         touched[scenario] = entities_hit_by_ego(study.meta, digest.collisions)
         impacts[scenario] = digest.outcomes[0].impacts
+        if (approach := find_closest_approach(digest.features, study.meta.others)) is not None:
+            approaches[scenario] = approach
         region = _union_region(region, digest.bounds)
         if on_read is not None:
             on_read(count + 1)
@@ -142,6 +147,7 @@ def read_report_data(
             for scenario, hits in impacts.items()
             if hits
         },
+        approaches=approaches,
         examples=_read_examples(study, summary.analyses) if charts else {},
         values=values,
         influential_parameters=order_by_influence(values, scores[metrics[0].name]),

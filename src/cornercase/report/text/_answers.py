@@ -16,6 +16,7 @@ from cornercase.metrics._outcome import Fault, Impact, Manner
 from cornercase.reduction import ReducedSet
 from cornercase.report._collision_replies import ReplyCounts
 from cornercase.report._estimates import CriticalEstimates
+from cornercase.report._near_misses import describe_near_misses, sort_near_misses
 from cornercase.report._reference_counts import describe_references
 from cornercase.report._report_data import ReportData
 from cornercase.report.text._phrases import (
@@ -41,6 +42,7 @@ from cornercase.suite._verdict import worst_state
 
 # Points listed below an answer; the details have all.
 _MAX_POINTS = 6
+_MAX_NEAR_MISSES = 5
 _NEGLIGIBLE_SHARE = 0.01
 _ROLE_NAMES: Final[dict[str, tuple[str, str]]] = {
     "critical prototype": ("prototype of critical ones", "prototypes of critical ones"),
@@ -89,6 +91,8 @@ def page_answers(data: ReportData) -> Iterator[Answer]:
     yield _answer_collisions(data)
     if summary.replies is not None:
         yield _answer_replies(data, summary.replies)
+    elif summary.represents_space and not data.hardest_impacts and not summary.unmeasured_collisions:
+        yield _answer_nothing_to_avoid(data)
     if summary.represents_space:
         yield from _answer_search(data)
     elif summary.analyses:
@@ -159,10 +163,13 @@ def _answer_collisions(data: ReportData) -> Answer:
     name, question, ego = "collisions", "Does it collide?", data.summary.meta.ego
     hardest = sorted(data.hardest_impacts.items(), key=lambda item: (-np.nan_to_num(item[1].speed), item[0]))
     scenarios = "the one scenario" if data.summary.n_run == 1 else f"the {data.summary.n_run} scenarios"
+    misses = sort_near_misses(data.approaches, data.hardest_impacts)
     if not hardest:
-        return Answer(
-            name, question, f"No: {ego} touches {' or '.join(data.summary.meta.others)} in none of {scenarios}."
-        )
+        text = f"No: {ego} touches {' or '.join(data.summary.meta.others)} in none of {scenarios}."
+        if misses:
+            text += f" The nearest miss is {misses[0][1].describe()}, in scenario {misses[0][0]}."
+        nearest = misses[: _MAX_NEAR_MISSES if len(misses) > 1 else 0]
+        return Answer(name, question, text, tuple(describe_near_misses(nearest)))
     others = data.summary.meta.others
     counts = Counter(name for names in data.entities_hit.values() for name in names if name in others)
     hit = _join_with_and([f"{entity} in {count}" for entity, count in counts.most_common()])
@@ -180,7 +187,8 @@ def _answer_collisions(data: ReportData) -> Answer:
         + ("." if impact.fault is None else f"; {_describe_fault_with_reason(impact.fault, ego, impact.entity)}.")
         for scenario, impact in hardest[:_MAX_POINTS]
     ]
-    return Answer(name, question, " ".join(sentences), tuple(points))
+    room = min(_MAX_NEAR_MISSES, _MAX_POINTS - len(points))
+    return Answer(name, question, " ".join(sentences), (*points, *describe_near_misses(misses[:room])))
 
 
 def _describe_fault_with_reason(fault: Fault, ego: str, other: str) -> str:
@@ -201,6 +209,18 @@ def _answer_replies(data: ReportData, replies: ReplyCounts) -> Answer:
     text, points = describe_replies(replies, meta.ego, other)
     references = describe_references(data.summary.references).strip()
     return Answer("fix", "What do I fix?", text, (*filter(None, [references]), *points))
+
+
+def _answer_nothing_to_avoid(data: ReportData) -> Answer:
+    """Say which margin the worst scenarios have, where nothing collides."""
+    summary, sentences = data.summary, ["Nothing collided, so there is no collision to avoid."]
+    if misses := sort_near_misses(data.approaches, {}):
+        sentences.append(f"The margin was smallest in scenario {misses[0][0]}: {misses[0][1].describe()}.")
+    if summary.estimates.critical is not None and summary.estimates.critical.n_critical and summary.metrics:
+        name, metric = next(iter(summary.metrics.items()))
+        score = append_unit(f"{metric.most_critical:.3g}", metric.unit)
+        sentences.append(f"The most critical by {name} is scenario {metric.most_critical_id}, with {score}.")
+    return Answer("fix", "What do I fix?", " ".join(sentences))
 
 
 def _describe_faults(data: ReportData) -> str:
