@@ -477,7 +477,10 @@ def test_whether_it_collides_is_answered_with_the_hardest_first(x_intersection, 
     answer = next(one for one in page_answers(data) if one.name == "collisions")
     assert 0 < len(speeds) == data.summary.n_collisions
     assert answer.text.startswith(f"Yes: Ego collides with Pedestrian in {len(speeds)} of the 60 scenarios, hardest in")
-    order = [int(re.findall(r"Scenario (\d+): ", point)[0]) for point in answer.points]
+    # Near misses follow where there are few collisions.
+    hits = [point for point in answer.points if point.startswith("Scenario ")]
+    assert answer.points[: len(hits)] == tuple(hits)
+    order = [int(re.findall(r"Scenario (\d+): ", point)[0]) for point in hits]
     assert f"hardest in scenario {order[0]}, at a relative speed of {speeds[order[0]]:.2g} m/s." in answer.text
     assert order == sorted(speeds, key=lambda scenario: (-speeds[scenario], scenario))[:6]
 
