@@ -60,8 +60,8 @@ def _cells(
     path = folder / f"{runs.name}-{ego or 'file'}-{seed}.db"
     known = path.with_suffix(".json")
     config = runs.config(ego, seed, budget, folder)
-    road_file = _road_file(config)
-    state, judged = _state(runs), rules_state(road_file)
+    roads = road_file(config)
+    state, judged = _state(runs), rules_state(roads)
     stored = json.loads(known.read_text()) if known.exists() else {}
     cells: dict[str, Cell] = stored["cells"] if stored.get("state") == state else {}
     if stored.get("judged") != judged:
@@ -69,7 +69,7 @@ def _cells(
     keys = [(one, reading) for reading in READINGS if reading.name in runs.readings for one in asked]
     if not all(f"{one.number}/{reading.name}" in cells for one, reading in keys):
         explore_config(config, path, progress=progress)
-        observed = Observed.read(path, seed, ASPECTS_OF[runs.scenario], road_file)
+        observed = Observed.read(path, seed, ASPECTS_OF[runs.scenario], roads)
         for one, reading in keys:
             if f"{one.number}/{reading.name}" in cells:
                 continue
@@ -81,11 +81,12 @@ def _cells(
     return {(one.number, reading.name): cells[f"{one.number}/{reading.name}"] for one, reading in keys}
 
 
-def _road_file(config: ExplorationConfig) -> Path:
-    road_file = config.logical.scenario_file.road_path_for()
-    if road_file is None:
+def road_file(config: ExplorationConfig) -> Path:
+    """Return the road file of a configuration's scenario."""
+    path = config.logical.scenario_file.road_path_for()
+    if path is None:
         raise ValueError(f"{config.logical.path}: has no road file")
-    return road_file.resolve()
+    return path.resolve()
 
 
 def _state(runs: Runs) -> str:
