@@ -510,7 +510,23 @@ def test_near_misses_are_named_where_nothing_collides_and_lead_to_their_replays(
     answers = {one.name: one for one in page_answers(data)}
     nearest = min(data.approaches, key=lambda scenario: (data.approaches[scenario].gap, scenario))
     assert answers["collisions"].points[0].startswith(f"Near miss in scenario {nearest}: ")
-    gaps = [data.approaches[int(re.search(r"scenario (\d+)", one)[1])].gap for one in answers["collisions"].points]
+    gaps = [data.approaches[int(re.findall(r"scenario (\d+)", one)[0])].gap for one in answers["collisions"].points]
     assert gaps == sorted(gaps)
     assert f"in scenario {nearest}: {data.approaches[nearest].gap:.2g} m from B" in answers["fix"].text
     assert f"Near miss in <a href='#id={nearest}'>scenario {nearest}</a>: " in page_of(path, tmp_path)
+
+
+def test_where_the_dangerous_scenarios_lie_is_said_beside_the_influence(path):
+    with StudyFile.open(path, readonly=True) as study:
+        data = read_report_data(study)
+        critical = study.critical_mask()
+        values = {name: [float(row.values[name]) for row in study.finished_rows()] for name in study.space.names}
+    said = [one for answer in page_answers(data) for one in answer.points if one.startswith("All ")]
+    narrow = []
+    for parameter in data.parameters:
+        inside = [value for value, is_critical in zip(values[parameter.name], critical, strict=True) if is_critical]
+        if max(inside) - min(inside) <= 0.6 * (parameter.high - parameter.low):
+            narrow.append((parameter.name, f"from {min(inside):.3g} to {max(inside):.3g}", len(inside)))
+    assert len(said) == len(narrow)
+    for text, (name, place, count) in zip(said, narrow, strict=True):
+        assert text.startswith(f"All {count} critical scenarios have {name} {place}")

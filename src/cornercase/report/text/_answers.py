@@ -19,11 +19,13 @@ from cornercase.report._estimates import CriticalEstimates
 from cornercase.report._near_misses import describe_near_misses, sort_near_misses
 from cornercase.report._reference_counts import describe_references
 from cornercase.report._report_data import ReportData
+from cornercase.report.text._danger_ranges import describe_danger_ranges
 from cornercase.report.text._phrases import (
     append_unit,
     describe_aspect,
     describe_dangers,
     describe_front,
+    describe_little_influence,
     describe_missing_sensitivity,
     describe_selection_threshold,
     describe_threshold_override,
@@ -365,12 +367,7 @@ def _answer_parameters(data: ReportData) -> Answer:
         f" others, {_format_share_with_interval(sensitivity.first[k], sensitivity.first_interval[k])} alone."
         for k in order[:_MAX_POINTS]
     ]
-    has = "has" if len(sensitivity.uninfluential_parameters) == 1 else "have"
-    little = (
-        f" {_join_with_and(list(sensitivity.uninfluential_parameters))} {has} little influence on it."
-        if sensitivity.uninfluential_parameters
-        else ""
-    )
+    little = describe_little_influence(sensitivity, " on it")
     text = (
         f"{sensitivity.names[order[0]]} matters most: {format_percent(sensitivity.total[order[0]])} of the variance of"
         f" {data.summary.objective} comes from it, alone or together with the others.{little} The shares come from a"
@@ -378,7 +375,7 @@ def _answer_parameters(data: ReportData) -> Answer:
         f" (cross-validated); intervals"
         " are of 90 %."
     )
-    return Answer(name, question, text, tuple(points))
+    return Answer(name, question, text, (*points, *describe_danger_ranges(data)))
 
 
 def _format_share_with_interval(value: float, interval: tuple[float, float]) -> str:
