@@ -133,6 +133,7 @@ def test_a_collision_is_critical_also_by_a_metric_that_is_not_defined_in_one(tmp
         # Where scores take two values, all scenarios are plain draws, and count.
         assert sum(study.scores("pet") <= 1.0) == found.critical.met
     assert any("plain Monte Carlo" in warning for warning in found.warnings)
+    assert found.n_learning == 0
     assert found.critical.met == found.collision.met > 10
     assert found.critical.value == found.collision.value
 

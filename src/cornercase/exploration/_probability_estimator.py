@@ -228,7 +228,8 @@ class ProbabilityEstimator:
         """Create the result from the scenarios so far."""
         _, law = self._outcomes_of_stages("whole" if self._is_exhaustive else "law")
         _, all_outcomes = self._outcomes_of_stages("law", "learn", "estimate", "whole")
-        _, learned = self._outcomes_of_stages("law", "learn")
+        # Plain draws count for the estimate, even those of the first round.
+        _, learned = self._outcomes_of_stages(*(() if self._sampling.is_plain else ("law", "learn")))
         _, uncounted = self._outcomes_of_stages("learn")
         n_counting = len(all_outcomes.scores) - len(uncounted.scores)
         critical = self._estimate_probability(lambda outcomes: outcomes.is_critical)
