@@ -3,10 +3,10 @@
 python benchmarks/rare.py [--quick] [--half {choose,judge}] [--runs N] [--repetitions N] [--json FILE]
 
 Each function has a critical set whose probability is known by a formula or an integral of one dimension: 1e-5, and 1e-3
-for the one whose scores tell only whether it was met. Shown
-are the mean and the standard deviation of the estimates over the truth, how many of the 95 % intervals hold it, and how
-often a run warns that its interval may be too narrow. Plain Monte Carlo would need 2.5 million runs for a relative
-standard error of 20 %. The constants of the method were chosen with the functions of the half "choose" alone.
+for the one whose scores tell only whether it was met. Shown are the mean and the standard deviation of the estimates
+over the truth, how many of the 95 % intervals hold it, and how often a run warns that its interval may be too narrow.
+Plain Monte Carlo would need 2.5 million runs for a relative standard error of 20 % of 1e-5. The constants of the method
+were chosen with the functions of the half "choose" alone.
 
 With OpenTURNS installed (extra `bench`), its subset sampling runs beside it, with as many runs or a few more.
 """

@@ -184,5 +184,7 @@ def write_table(page: Path, results: Results) -> None:
 def replace_between(page: Path, begin: str, end: str, rows: Iterable[str]) -> None:
     """Put rows between two marks of a page."""
     text = page.read_text("utf-8")
+    if not (begin in text and end in text):
+        raise ValueError(f"{page}: has no marks {begin} and {end}")
     lines = "\n".join((begin, "", *rows, "", end))
     page.write_text(re.sub(f"{re.escape(begin)}.*{re.escape(end)}", lambda _: lines, text, flags=re.DOTALL), "utf-8")
