@@ -165,7 +165,9 @@ def test_scores_without_direction_are_drawn_from_the_distribution_itself():
 
 
 def test_ten_dimensions_are_told_too():
-    score = lambda points: -norm.ppf(1e-5) - ndtri(np.clip(points, 1e-16, 1 - 2e-16)).sum(1) / np.sqrt(10)  # noqa: E731
+    def score(points):
+        return -norm.ppf(1e-5) - ndtri(np.clip(points, 1e-16, 1 - 2e-16)).sum(1) / np.sqrt(10)
+
     found = [estimated(space_of(10), score, 5000, seed)[0] for seed in range(4)]
     assert all(abs(one.value / 1e-5 - 1.0) < 0.3 for one in found)
 

@@ -70,8 +70,7 @@ class ImportanceSampling:
         self._wide = [TMixture.normal_around_zero(space.dimension, deviation) for deviation in _WIDE_DEVIATIONS]
         self._earlier = [] if initial_proposal is None else [initial_proposal]
         self._proposal, self._drawn = self._plain_distribution, list[tuple[int, TMixture]]()
-        self._rounds, self._ready, self._frozen = 0, 0, False
-        self._has_first_guess, self._is_plain = initial_proposal is not None, False
+        self._rounds, self._ready, self._frozen, self._is_plain = 0, 0, False, False
         self._factor: tuple[float, float] | None = None
 
     @property
@@ -110,7 +109,7 @@ class ImportanceSampling:
         `scores` (n,) are lower nearer to the events, and NaN for a failed scenario. `occurred` (n, events) says which
         events occurred.
         """
-        if self._rounds == 0 and not self._has_first_guess:
+        if self._rounds == 0 and not self._earlier:
             self._is_plain = len(np.unique(scores[np.isfinite(scores)])) <= _MAX_VALUES_WITHOUT_DIRECTION
         if not (self._frozen or self._is_plain):
             self._drawn.append((len(points), self._proposal))

@@ -36,6 +36,7 @@ from cornercase.report.text._phrases import (
     format_criterion_with_signs,
     format_percent,
     group_failures_by_reason,
+    join_with_and,
     use_math_signs,
 )
 from cornercase.report.text._reply_sentences import describe_replies
@@ -174,7 +175,7 @@ def _answer_collisions(data: ReportData) -> Answer:
         return Answer(name, question, text, tuple(describe_near_misses(nearest)))
     others = data.summary.meta.others
     counts = Counter(name for names in data.entities_hit.values() for name in names if name in others)
-    hit = _join_with_and([f"{entity} in {count}" for entity, count in counts.most_common()])
+    hit = join_with_and([f"{entity} in {count}" for entity, count in counts.most_common()])
     worst, impact = hardest[0]
     hard = f"hardest in scenario {worst}, at a relative speed of {impact.speed:.2g} m/s"
     sentences = [f"Yes: {ego} collides with {hit} of {scenarios}, {hard}."]
@@ -235,7 +236,7 @@ def _describe_faults(data: ReportData) -> str:
     if not parts:
         return f"Whose fault it is: {undecided}." if undecided else ""
     verb = "are" if len(parts) > 1 or counts["both"] else "is"
-    return "; ".join(filter(None, (f"At fault {verb} {_join_with_and(parts)}", undecided))) + "."
+    return "; ".join(filter(None, (f"At fault {verb} {join_with_and(parts)}", undecided))) + "."
 
 
 def _answer_critical_share(data: ReportData) -> Answer:
@@ -326,7 +327,7 @@ def _answer_clusters(data: ReportData) -> Answer:
     undivided = [by for by, analysis in analyses.items() if analysis.clustering.n_clusters <= 1]
     bands = tuple(f"{bands.describe()}." for by, bands in data.summary.bands.items() if by in undivided)
     if analyses[chosen].clustering.n_clusters <= 1:
-        return Answer(name, question, f"There are no separate kinds by {_join_with_and(undivided)}.", bands)
+        return Answer(name, question, f"There are no separate kinds by {join_with_and(undivided)}.", bands)
     analysis = analyses[chosen]
     noise = int((analysis.labels < 0).sum())
     outside = f", and {noise} scenarios of noise" if noise else ""
@@ -342,9 +343,9 @@ def _answer_clusters(data: ReportData) -> Answer:
     if len(points) > _MAX_POINTS:
         points = [*points[:_MAX_POINTS], f"{len(points) - _MAX_POINTS} smaller ones are listed below."]
     if divided:
-        sentences.append(f"There are also kinds by {_join_with_and(divided)}.")
+        sentences.append(f"There are also kinds by {join_with_and(divided)}.")
     if undivided:
-        sentences.append(f"There are no separate kinds by {_join_with_and(undivided)}.")
+        sentences.append(f"There are no separate kinds by {join_with_and(undivided)}.")
     # Names of kinds that tell nothing apart tell nothing; the details have them.
     points = [*(points if has_useful_clusters(analysis) else []), *bands]
     return Answer(name, question, " ".join(sentences), tuple(points))
@@ -389,7 +390,7 @@ def _answer_reduced_set(data: ReportData) -> Answer:
     if reduced is None:
         return Answer(name, question, "The study has not been reduced yet; cornercase reduce finds the few to keep.")
     roles = Counter(str(scenario.role) for scenario in reduced.scenarios)
-    counts = _join_with_and([f"{n} {forms[n != 1]}" for role, forms in _ROLE_NAMES.items() if (n := roles[role])])
+    counts = join_with_and([f"{n} {forms[n != 1]}" for role, forms in _ROLE_NAMES.items() if (n := roles[role])])
     sentences = [f"Keep {len(reduced.scenarios)} of the {reduced.n_run} scenarios: {counts or 'none'}."]
     sentences.append(_describe_selected_outcomes(data, reduced))
     if later := data.summary.n_run - reduced.n_run:
@@ -505,7 +506,3 @@ def _answer_probability(estimate: Any) -> Answer:
         )
     sentences.append(f"Estimated from {estimate['scenarios']} scenarios.")
     return Answer("probability", "How probable is it?", " ".join([*sentences, *estimate["warnings"]]))
-
-
-def _join_with_and(words: list[str]) -> str:
-    return " and ".join(filter(None, (", ".join(words[:-1]), words[-1]))) if words else ""

@@ -158,14 +158,18 @@ def use_math_signs(criterion: str) -> str:
     return criterion.replace("<=", "≤").replace(">=", "≥")
 
 
+def join_with_and(words: list[str]) -> str:
+    """Join words: ``"a, b and c"``."""
+    return " and ".join(filter(None, (", ".join(words[:-1]), words[-1]))) if words else ""
+
+
 def describe_little_influence(sensitivity: Sensitivity, on: str = "") -> str:
     """Say which parameters have little influence ``on`` something; empty if none has."""
     # Tied parameters have one joint name.
     names = [name for joint in sensitivity.uninfluential_parameters for name in joint.split(", ")]
     if not names:
         return ""
-    listed = names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
-    return f" {listed} {'has' if len(names) == 1 else 'have'} little influence{on}."
+    return f" {join_with_and(names)} {'has' if len(names) == 1 else 'have'} little influence{on}."
 
 
 def format_range(parameter: Parameter) -> str:
