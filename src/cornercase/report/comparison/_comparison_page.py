@@ -94,7 +94,9 @@ def _render_page(
                 texts[number] = base64.b64encode(packed).decode()
                 events[str(number)] = find_events_of_scenario(study, scenario_id, recordings[-1])
     sections = [
-        section for section in describe_comparison(comparison) if section.key not in ("answer", "findings", "telling")
+        section
+        for section in describe_comparison(comparison)
+        if section.key not in ("answer", "changes", "findings", "telling")
     ]
     answer = describe_comparison(comparison)[0]
     contents = (
