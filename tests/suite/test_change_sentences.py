@@ -56,7 +56,7 @@ def test_collisions_come_first_with_their_scenarios_and_whose_fault_they_are(tmp
     first, *_ = describe_changes(found)
     assert first.startswith("Collisions: 1 new (8)")
     assert "1 gone (4)" in first
-    assert first.endswith("of 40 scenarios that ran with both, 1 with both.")
+    assert first.endswith("of 40 scenarios that ran with both, 1 collides with each version.")
     faults = {pair.ids[0]: pair.faults for pair in found.pairs if any(pair.collides)}
     assert set(faults) == {4, 5, 8}
     with StudyFile.open(new) as study:
@@ -72,7 +72,7 @@ def test_the_change_of_the_critical_share_has_an_interval_that_holds_both_ends(t
     found = cc.compare(old, new)
     share = describe_changes(found)[1]
     assert share.startswith(
-        "Critical share of the space: 50.0% before, 12.5% now; change -37.5 percentage points (90 %"
+        "Critical share of the space: 50.0 % before, 12.5 % now; change -37.5 percentage points (90 %"
     )
     assert "so it has shrunk; from 40 scenarios that fill the space and ran with both." in share
     change = found.space.change

@@ -55,13 +55,17 @@ def _describe_collisions(ran: Sequence[ScenarioPair]) -> str:
     both = [pair for pair in ran if pair.collides == (True, True)]
     of = f"of {_count(len(ran), 'scenario')} that ran with both"
     if not new and not lost:
-        others = f"{len(both)} collide with both{_describe_faults(both, 1)}" if both else "none collides with either"
+        others = (
+            f"{len(both)} {_collide(len(both))} with each version{_describe_faults(both, 1)}"
+            if both
+            else "none collides"
+        )
         return f"Collisions: none is new and none is gone; {of}, {others}."
     parts = [
         f"{len(new) or 'none'} new{_name(new)}{_describe_faults(new, 1)}",
         f"{len(lost) or 'none'} gone{_name(lost)}{_describe_faults(lost, 0)}",
     ]
-    return f"Collisions: {'; '.join(parts)}; {of}, {len(both) or 'none'} with both."
+    return f"Collisions: {'; '.join(parts)}; {of}, {len(both) or 'none'} {_collide(len(both))} with each version."
 
 
 def _name(pairs: Sequence[ScenarioPair]) -> str:
@@ -88,7 +92,7 @@ def _describe_faults(pairs: Sequence[ScenarioPair], side: int) -> str:
 def _describe_critical_share(comparison: Comparison, ran: Sequence[ScenarioPair]) -> str:
     space = comparison.space
     if space is not None and space.shares is not None and space.change is not None:
-        before, after = (f"{estimate.value:.1%}" for estimate in space.shares)
+        before, after = (f"{100.0 * estimate.value:.1f} %" for estimate in space.shares)
         change = space.change
         points = ", ".join(f"{100.0 * value + 0.0:+.1f}" for value in (change.low, change.high)).replace(", ", " to ")
         n_old, n_new = space.counts
@@ -223,6 +227,10 @@ def describe_unpaired_scenarios(comparison: Comparison) -> Iterator[str]:
             f"To run those that stand for {old} with the new version: cornercase reduce {old} -o suite, then cornercase"
             f" test suite -o run.db with the driver of {new}, then cornercase compare {old} run.db"
         )
+
+
+def _collide(number: int) -> str:
+    return "collide" if number > 1 else "collides"
 
 
 def _count(number: int, noun: str) -> str:
