@@ -191,6 +191,7 @@ def render_report(
         contents=contents,
         answers=contents["answers"],
         verdicts=verdicts,
+        gaps=[escape_control_characters(sentence) for sentence in expected.gaps],
         details=[section for section in details if section is not verdicts],
         provenance=render_provenance(data.file_name, data.summary),
         recordings={**recordings, **expected.recordings},
