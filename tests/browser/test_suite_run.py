@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 
 import pytest
+from axe_playwright_python.sync_playwright import Axe  # type: ignore[import-untyped]
 
 import cornercase as cc
 from conftest import EXAMPLES
@@ -109,3 +110,13 @@ def test_no_verdict_is_cut_off(tab, mixed, width):
     link.click()
     tab.settle()
     assert page.evaluate(SHOWN)["selected"] == f"Scenario {number}"
+
+
+@pytest.mark.parametrize(("scheme", "width"), [("light", 1280), ("dark", 400)])
+def test_axe_finds_no_serious_violation(tab, mixed, scheme, width):
+    page = tab.open(mixed)
+    page.emulate_media(color_scheme=scheme)
+    page.set_viewport_size({"width": width, "height": 900})
+    found = Axe().run(page).response["violations"]
+    told = [(one["id"], one["nodes"][0]["html"][:200]) for one in found if one["impact"] in ("serious", "critical")]
+    assert told == []

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from axe_playwright_python.sync_playwright import Axe  # type: ignore[import-untyped]
 
 import cornercase as cc
 from browser.studies import ENTITY, HOSTILE
@@ -109,3 +110,13 @@ def test_it_fits_a_phone(tab, versions, tmp_path):
     tab.page.set_viewport_size({"width": 380, "height": 800})
     page = tab.open(page_of(versions, tmp_path / "page.html").as_uri())
     assert page.evaluate("() => document.documentElement.scrollWidth") <= 380
+
+
+@pytest.mark.parametrize(("scheme", "width"), [("light", 1280), ("dark", 1280), ("light", 400)])
+def test_axe_finds_no_serious_violation(tab, versions, tmp_path, scheme, width):
+    page = tab.open(page_of(versions, tmp_path / "page.html").as_uri())
+    page.emulate_media(color_scheme=scheme)
+    page.set_viewport_size({"width": width, "height": 900})
+    found = Axe().run(page).response["violations"]
+    told = [(one["id"], one["nodes"][0]["html"][:200]) for one in found if one["impact"] in ("serious", "critical")]
+    assert told == []

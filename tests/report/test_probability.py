@@ -37,6 +37,7 @@ def test_the_number_comes_first_and_a_section_says_how_sure_it_is(estimate, tmp_
     assert re.findall(r'<div class="answer" data-question="(.*?)">', page)[0] == "probability"
     with StudyFile.open(estimate) as study:
         stored = study.read_estimate()
+    assert stored is not None
     section = page.partition('<details data-part="probability" open>')[2].partition("</details>")[0]
     text = unescape(re.sub(r"<[^>]*>", " ", section))
     for event in ("critical", "collision"):

@@ -76,6 +76,7 @@ def test_it_holds_each_telling_scenario_with_both_versions(versions, tmp_path):
         old, new = one.scores["wttc"]
         number = contents["called"]
         mark = re.search(rf'data-old="(\d+)"[^>]*><title>{one.ids[0]}, {one.ids[1]}: {old:.4g} → {new:.4g}<', page)
+        assert mark is not None
         assert number[mark[1]] == f"Old: scenario {one.ids[0]} of old.db"
     assert not re.search(r"(src|href)=.?(https?:|//)", page)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -45,6 +46,11 @@ def written(path, gaps, hits=(), points=POINTS, **more):
     return path
 
 
+def compared(*studies) -> Any:
+    """What is optional in a comparison is there where a test looks at it."""
+    return cc.compare(*studies)
+
+
 def changes_of(found) -> str:
     return "\n".join(describe_changes(found))
 
@@ -52,7 +58,7 @@ def changes_of(found) -> str:
 def test_collisions_come_first_with_their_scenarios_and_whose_fault_they_are(tmp_path):
     old = written(tmp_path / "old.db", GAPS, hits={3, 4})
     new = written(tmp_path / "new.db", GAPS, hits={4, 7})
-    found = cc.compare(old, new)
+    found = compared(old, new)
     first, *_ = describe_changes(found)
     assert first.startswith("Collisions: 1 new (8)")
     assert "1 gone (4)" in first
@@ -61,15 +67,16 @@ def test_collisions_come_first_with_their_scenarios_and_whose_fault_they_are(tmp
     assert set(faults) == {4, 5, 8}
     with StudyFile.open(new) as study:
         fault = study.digest(8).outcomes[0].fault
+    assert fault is not None
     assert faults[8] == ("", fault.describe("Ego", "B"))
     assert f"1 new (8), {faults[8][1]}; 1 gone (4), {faults[4][0]}" in first
-    assert describe_changes(cc.compare(old, old))[0].startswith("Collisions: none is new and none is gone; of 40 ")
+    assert describe_changes(compared(old, old))[0].startswith("Collisions: none is new and none is gone; of 40 ")
 
 
 def test_the_change_of_the_critical_share_has_an_interval_that_holds_both_ends(tmp_path):
     old = written(tmp_path / "old.db", np.where(np.arange(40) < 20, 0.5, 3.0))
     new = written(tmp_path / "new.db", np.where(np.arange(40) < 5, 0.5, 3.0))
-    found = cc.compare(old, new)
+    found = compared(old, new)
     share = describe_changes(found)[1]
     assert share.startswith(
         "Critical share of the space: 50.0 % before, 12.5 % now; change -37.5 percentage points (90 %"
@@ -77,9 +84,9 @@ def test_the_change_of_the_critical_share_has_an_interval_that_holds_both_ends(t
     assert "so it has shrunk; from 40 scenarios that fill the space and ran with both." in share
     change = found.space.change
     assert change.low < change.value < change.high < 0.0
-    back = cc.compare(new, old).space.change
+    back = compared(new, old).space.change
     assert (back.low, back.high) == (pytest.approx(-change.high), pytest.approx(-change.low))
-    same = cc.compare(old, old)
+    same = compared(old, old)
     assert same.space.change.low < 0.0 < same.space.change.high
     assert "it may have grown or shrunk, or be the same" in describe_changes(same)[1]
 
@@ -98,21 +105,21 @@ def test_the_interval_of_a_change_is_right_in_nine_of_ten_studies():
 
 def test_mcnemar_says_what_it_tests_how_often_and_what_follows(tmp_path):
     old = written(tmp_path / "old.db", GAPS, hits=range(12))
-    many = cc.compare(old, written(tmp_path / "many.db", GAPS, hits={20}))
+    many = compared(old, written(tmp_path / "many.db", GAPS, hits={20}))
     (line,) = [each for each in describe_changes(many) if each.startswith("McNemar")]
     assert "on 40 pairs, whether as many scenarios began to collide as collide no longer: 1 and 12; p = " in line
     assert line.endswith("after correction for 3 tests; more than chance.")
-    few = cc.compare(old, written(tmp_path / "few.db", GAPS, hits=range(11)))
+    few = compared(old, written(tmp_path / "few.db", GAPS, hits=range(11)))
     (line,) = [each for each in describe_changes(few) if each.startswith("McNemar")]
     assert line.endswith("0 and 1; p = 1, 1 after correction for 3 tests; that may be chance.")
     # Where no pair changed, there is nothing to test.
-    assert "McNemar" not in changes_of(cc.compare(old, old))
+    assert "McNemar" not in changes_of(compared(old, old))
 
 
 def test_scenarios_without_a_partner_are_counted_with_why_and_what_follows(tmp_path):
     old = written(tmp_path / "old.db", GAPS, hits={0, 39})
     new = written(tmp_path / "new.db", GAPS[:30], points=POINTS[:30])
-    found = cc.compare(old, new)
+    found = compared(old, new)
     assert found.n_unmatched == (10, 0)
     assert [(one.count, one.collisions) for one in found.unpaired] == [(10, 1), (0, 0)]
     text = "\n".join(describe_unpaired_scenarios(found))
@@ -122,7 +129,7 @@ def test_scenarios_without_a_partner_are_counted_with_why_and_what_follows(tmp_p
     assert "Why: one study ran scenarios that the other did not" in text
     assert "What follows: what changed in them is not known" in text
     assert "of new.db" not in text.splitlines()[0]
-    assert list(describe_unpaired_scenarios(cc.compare(old, old))) == []
+    assert list(describe_unpaired_scenarios(compared(old, old))) == []
 
 
 @pytest.fixture(scope="module")
@@ -140,7 +147,7 @@ def searched(tmp_path_factory, x_intersection):
 
 
 def test_each_version_says_what_it_does_in_a_kind_that_is_named_after_the_old_one(searched):
-    found = cc.compare(*searched)
+    found = compared(*searched)
     kinds = found.clusters[found.main_aspect]
     for side, name in enumerate(("old", "new")):
         assert sum(getattr(kind, name) for kind in kinds) == sum(
@@ -157,7 +164,7 @@ def test_each_version_says_what_it_does_in_a_kind_that_is_named_after_the_old_on
 
 
 def test_the_command_says_what_the_page_says_in_the_same_order(searched):
-    found = cc.compare(*searched)
+    found = compared(*searched)
     result = CliRunner().invoke(app, ["compare", *map(str, searched)])
     places = [result.stdout.index(sentence) for sentence in describe_changes(found)]
     assert places == sorted(places)
@@ -170,4 +177,4 @@ def test_the_command_says_what_the_page_says_in_the_same_order(searched):
 
 @pytest.mark.parametrize("verdict", ["better", "worse", "mixed", "the same", "cannot say"])
 def test_a_verdict_is_a_sentence(searched, verdict):
-    assert len(describe_verdict(replace(cc.compare(*searched), verdict=verdict)).split()) >= 4
+    assert len(describe_verdict(replace(compared(*searched), verdict=verdict)).split()) >= 4

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shutil
 from html import unescape
+from typing import cast
 
 import pytest
 
@@ -18,7 +19,6 @@ from cornercase.suite._judge import compute_margin
 def run(explored, tmp_path_factory):
     """The suite, run with a bound that some of its scenarios miss."""
     path = tmp_path_factory.mktemp("page") / "run.db"
-    # The smallest time to collision of each scenario, to set the bound between them.
     cc.run_suite(explored / "reduced", path, require=["ttc > 0.5", "no collision"])
     return path
 
@@ -53,6 +53,7 @@ def test_each_requirement_says_by_how_much_it_is_missed_or_met_worst_first(run, 
         for row in rows:
             recording = study.recording(int(row["scenario"]))
             margin = compute_margin(Requirement.parse("ttc > 0.5"), recording, "Ego", study.meta.others)
+            assert margin is not None
             assert row["margin"] == f"{'missed' if margin < 0.0 else 'met'} by {abs(margin):.3g} s"
             assert row["verdict"] == ("failed" if margin < 0.0 else "passed")
     for state in ("failed", "passed"):
@@ -123,7 +124,7 @@ def test_a_kind_without_a_scenario_in_the_suite_is_named(explored, tmp_path):
 
             meta = type("Meta", (), {"kinds": (profile.label,) * len(sources)})
 
-        text = "\n".join(describe_suite_gaps(OneKind(), study, sources))
+        text = "\n".join(describe_suite_gaps(cast(StudyFile, OneKind()), study, sources))
     assert all(f"“{label}” (" in text for label in others)
     assert f"“{profile.label}”" not in text
 

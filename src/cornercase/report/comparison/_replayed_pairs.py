@@ -93,7 +93,7 @@ def read_replayed_pairs(comparison: Comparison, old: StudyFile, new: StudyFile) 
                 size += len(text)
         replayed.pairs.append(pair)
         replayed.numbers_by_ids[pair.ids] = number
-        replayed.differences[str(number)] = _describe_difference(pair, *recordings, comparison)
+        replayed.differences[str(number)] = _describe_difference(pair, recordings[0], recordings[1], comparison)
     return replayed
 
 

@@ -97,7 +97,7 @@ def _format_tolerances(comparison: Comparison) -> Iterator[str]:
 def _findings_section(comparison: Comparison) -> ComparisonSection:
     findings = (*comparison.worse, *comparison.better)
     tests = ("test",) if any(finding.test for finding in findings) else ()
-    rows = tuple(
+    rows: tuple[tuple[Cell, ...], ...] = tuple(
         (
             finding.direction,
             finding.change_text,
@@ -164,8 +164,8 @@ def _pair_sections(comparison: Comparison) -> Iterator[ComparisonSection]:
             for item, count in changed_verdicts
         )
         n_same = sum(count for item, count in comparison.verdicts.items() if item[1] == item[2])
-        header = ("requirement", "old", "new", "number", "scenarios") if verdicts else ()
-        yield ComparisonSection("verdicts", "Verdicts", (f"{n_same} are the same",), header, verdicts)
+        columns = ("requirement", "old", "new", "number", "scenarios") if verdicts else ()
+        yield ComparisonSection("verdicts", "Verdicts", (f"{n_same} are the same",), columns, verdicts)
 
 
 def _verdict_changes(pair: ScenarioPair) -> set[tuple[str, str, str]]:
