@@ -25,7 +25,7 @@ from cornercase.scenario import Parameter
 from cornercase.study import ScenarioRecord, StudyFile
 from cornercase.study._digest import COURSE_POINTS
 from cornercase.suite import Verdict
-from cornercase.suite._judge import judge_study
+from cornercase.suite._judge import judge_study, measure_margins
 
 # Measured memory of one scenario until the page is written.
 _BYTES_PER_SCENARIO: Final = 10_000
@@ -60,6 +60,7 @@ class ReportData:
     is_critical: BoolArray  # shape (n,); all False without a threshold
     coverage_curves: Mapping[str, CoverageCurves]  # by aspect; empty before the study was reduced
     verdicts: Mapping[int, Sequence[Verdict]]  # by id, one per requirement; empty without requirements
+    margins: Mapping[int, Mapping[str, float]]  # by id and requirement, if it has a margin; negative if violated
     outcomes: Mapping[int, str]  # endings by id; empty before the study was analyzed
     notes: Mapping[int, str]  # user notes by id
     missed_fractions: tuple[MissedFractionAfter, ...]  # empty if unknown
@@ -127,6 +128,7 @@ def read_report_data(
         times[scenario] = shared_times.setdefault(recording.time.tobytes(), recording.time)
         for metric in metrics:
             courses[metric.name][scenario] = metric.clip_course(score_courses[metric.name]).astype(np.float32)
+    verdicts = judge_study(study)
     summary = summarize_with_collisions(study, list(touched.values()), list(impacts.values()))
     return ReportData(
         file_name=study.path.name,
@@ -155,7 +157,8 @@ def read_report_data(
         coverage_curves={}
         if summary.reduced_set is None or not charts
         else read_coverage_curves(study, summary.analyses, summary.reduced_set.ids),
-        verdicts=judge_study(study),
+        verdicts=verdicts,
+        margins=measure_margins(study, verdicts),
         outcomes=study.outcomes(),
         notes=study.notes(),
         missed_fractions=tuple(estimate_missed_fractions(study, summary.estimates)) if charts else (),
