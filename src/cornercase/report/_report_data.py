@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
+from cornercase._common.errors import InputError
 from cornercase._common.memory import MemoryLimit, report_memory_need
 from cornercase._common.typing import BoolArray, Float32Array, FloatArray, IntArray
 from cornercase.clustering import Analysis
@@ -24,6 +26,7 @@ from cornercase.roads._outline import Region
 from cornercase.scenario import Parameter
 from cornercase.study import ScenarioRecord, StudyFile
 from cornercase.study._digest import COURSE_POINTS
+from cornercase.study._scenario_file import find_explored_scenario
 from cornercase.suite import Verdict
 from cornercase.suite._judge import judge_study, measure_margins
 
@@ -64,6 +67,7 @@ class ReportData:
     outcomes: Mapping[int, str]  # endings by id; empty before the study was analyzed
     notes: Mapping[int, str]  # user notes by id
     missed_fractions: tuple[MissedFractionAfter, ...]  # empty if unknown
+    fixed_parameters: Mapping[str, str]  # those of the scenario file that were not varied; empty if it was not found
     region: Region | None  # x_min, y_min, x_max, y_max around all motion, with a margin, in m
 
     @property
@@ -162,8 +166,24 @@ def read_report_data(
         outcomes=study.outcomes(),
         notes=study.notes(),
         missed_fractions=tuple(estimate_missed_fractions(study, summary.estimates)) if charts else (),
+        fixed_parameters=_read_fixed_parameters(study),
         region=add_road_margin(region),
     )
+
+
+def _read_fixed_parameters(study: StudyFile) -> dict[str, str]:
+    """Read the parameters of the scenario file that were not varied; empty if the file is not beside the study."""
+    with suppress(InputError):
+        scenario = None if study.meta.suite else find_explored_scenario(study, search_remembered_path=False)
+        if scenario is not None:
+            varied = {parameter.name for parameter in study.space.parameters}
+            declared = scenario.root.iterfind("ParameterDeclarations/ParameterDeclaration")
+            return {
+                name: element.get("value", "")
+                for element in declared
+                if (name := element.get("name", "")) not in varied
+            }
+    return {}
 
 
 def _check_memory(memory: MemoryLimit, scenarios: int, metrics: int, course_length: int, is_announced: bool) -> None:

@@ -40,6 +40,8 @@ from cornercase.report.text._phrases import (
     use_math_signs,
 )
 from cornercase.report.text._reply_sentences import describe_replies
+from cornercase.report.text._tested_space import describe_tested_space
+from cornercase.report.text._what_next import describe_next_steps
 from cornercase.study._import_recordings import IMPORTED_SIMULATOR
 from cornercase.suite._verdict import worst_state
 
@@ -47,6 +49,7 @@ from cornercase.suite._verdict import worst_state
 _MAX_POINTS = 6
 _MAX_NEAR_MISSES = 5
 _NEGLIGIBLE_SHARE = 0.01
+_NEARLY_ALL: Final = ("over 99 %", "100 %")
 _ROLE_NAMES: Final[dict[str, tuple[str, str]]] = {
     "critical prototype": ("prototype of critical ones", "prototypes of critical ones"),
     "prototype": ("prototype", "prototypes"),
@@ -114,7 +117,8 @@ def _answer_search(data: ReportData) -> Iterator[Answer]:
     yield _answer_parameters(data)
     yield _answer_reduced_set(data)
     if estimates.pareto_front is None and estimates.critical is not None:
-        yield _answer_missed(estimates.critical)
+        yield _answer_missed(data, estimates.critical)
+    yield Answer("next", "What next?", *describe_next_steps(data))
 
 
 def describe_study(data: ReportData, *, include_counts: bool = True) -> str:
@@ -285,7 +289,7 @@ def _answer_critical_share(data: ReportData) -> Answer:
     return Answer(name, question, f"{share} {counts}")
 
 
-def _answer_missed(critical: CriticalEstimates) -> Answer:
+def _answer_missed(data: ReportData, critical: CriticalEstimates) -> Answer:
     sentences, estimates = [], critical.critical_set
     if estimates is None:
         sentences.append("That is unknown: there are too few different scores.")
@@ -296,6 +300,16 @@ def _answer_missed(critical: CriticalEstimates) -> Answer:
     elif estimates.missed_interval_unavailable is not None:
         sentences.append(f"{_describe_share(estimates.missed_fraction.value)} of the critical set.")
         sentences.append(f"There is no interval: {estimates.missed_interval_unavailable}.")
+    elif format_percent(estimates.missed_fraction.low) in _NEARLY_ALL:
+        # The share is that of a volume, and single scenarios have none.
+        points = (
+            "one critical scenario is a single point"
+            if critical.n_critical == 1
+            else f"{critical.n_critical} critical scenarios are single points"
+        )
+        sentences.append(
+            f"Nearly all of the critical set: the {points} of it, around which the model predicts nothing critical."
+        )
     else:
         sentences.append(
             f"{_describe_share(estimates.missed_fraction.value)} of the critical set"
@@ -315,7 +329,7 @@ def _answer_missed(critical: CriticalEstimates) -> Answer:
                 f" ({_format_interval(critical.audits.missed_fraction)})"
             )
         sentences.append(f"{audits}.")
-    return Answer("missed", "What may be missed?", " ".join(sentences))
+    return Answer("missed", "What may be missed?", " ".join(sentences), tuple(describe_tested_space(data)))
 
 
 def _answer_clusters(data: ReportData) -> Answer:
@@ -357,10 +371,11 @@ def _answer_parameters(data: ReportData) -> Answer:
         return Answer(
             name, question, "This is known for a single score only; this study searches the Pareto front of several."
         )
+    ranges = tuple(describe_danger_ranges(data))
     if sensitivity is None:
-        return Answer(name, question, "There are too few different scores to say.")
+        return Answer(name, question, "There are too few different scores to say.", ranges)
     if not sensitivity.is_meaningful:
-        return Answer(name, question, describe_missing_sensitivity())
+        return Answer(name, question, describe_missing_sensitivity(), ranges)
     order = sorted(range(len(sensitivity.names)), key=lambda k: (-sensitivity.total[k], k))
     points = [
         f"{sensitivity.names[k]}:"
@@ -368,7 +383,7 @@ def _answer_parameters(data: ReportData) -> Answer:
         f" others, {_format_share_with_interval(sensitivity.first[k], sensitivity.first_interval[k])} alone."
         for k in order[:_MAX_POINTS]
     ]
-    little = describe_little_influence(sensitivity, " on it")
+    little = describe_little_influence(sensitivity, " on that variance")
     text = (
         f"{sensitivity.names[order[0]]} matters most: {format_percent(sensitivity.total[order[0]])} of the variance of"
         f" {data.summary.objective} comes from it, alone or together with the others.{little} The shares come from a"
@@ -376,7 +391,7 @@ def _answer_parameters(data: ReportData) -> Answer:
         f" (cross-validated); intervals"
         " are of 90 %."
     )
-    return Answer(name, question, text, (*points, *describe_danger_ranges(data)))
+    return Answer(name, question, text, (*points, *ranges))
 
 
 def _format_share_with_interval(value: float, interval: tuple[float, float]) -> str:

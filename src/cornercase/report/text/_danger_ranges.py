@@ -1,33 +1,63 @@
-"""Ranges of the parameters in which dangerous scenarios lie."""
+"""Sentences on the ranges of parameters in which all collisions, or else all critical scenarios, lie."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import Final
 
+import numpy as np
+
+from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.report._report_data import ReportData
 from cornercase.report.text._phrases import append_unit, format_range
+from cornercase.scenario import Parameter
 
-# Fewer scenarios say nothing about a range. A range is named if it is at most this part of what was varied.
-_MIN_SCENARIOS: Final = 5
-_MAX_PART: Final = 0.6
+# Fewer scenarios say nothing of a range.
+_MIN_SCENARIOS: Final = 3
+# Largest part of the explored range that is clearly narrower than it.
+_MAX_WIDTH: Final = 0.8
+# Probability with which as many scenarios lie in so narrow a range by chance, over all parameters.
+_CHANCE: Final = 0.01
 
 
 def describe_danger_ranges(data: ReportData) -> Iterator[str]:
-    """Say of each parameter where all collisions lie, or all critical scenarios, if that is a small part of its range.
-
-    A parameter that hardly changes the score between collisions may still decide whether there is one.
-    """
-    collisions = [row for row in data.rows if row.id in data.hardest_impacts]
-    critical = [row for row, is_critical in zip(data.rows, data.is_critical.tolist(), strict=True) if is_critical]
-    rows, kind = (collisions, "collisions") if len(collisions) >= _MIN_SCENARIOS else (critical, "critical scenarios")
-    if len(rows) < _MIN_SCENARIOS:
+    """Yield for each parameter in which narrower range all collisions lie; the critical scenarios if none collides."""
+    others = data.summary.meta.others
+    dangerous = np.array([not data.entities_hit[row.id].isdisjoint(others) for row in data.rows])
+    what = "collisions"
+    if not dangerous.any():
+        dangerous, what = data.is_critical, "critical scenarios"
+    if dangerous.sum() < _MIN_SCENARIOS or dangerous.all():
         return
-    for parameter in data.parameters:
-        if parameter.choices or parameter.low == parameter.high:
-            continue
-        values = [float(row.values[parameter.name]) for row in rows]
-        low, high = min(values), max(values)
-        if high - low <= _MAX_PART * (parameter.high - parameter.low):
-            lie = append_unit(f"{low:.3g} to {high:.3g}", parameter.unit)
-            yield f"All {len(rows)} {kind} have {parameter.name} from {lie}, of {format_range(parameter)}."
+    numeric = [(k, parameter) for k, parameter in enumerate(data.parameters) if not parameter.choices]
+    for k, parameter in numeric:
+        column = data.values[:, k]
+        if _is_clearly_narrower(column, dangerous, parameter, _CHANCE / len(numeric)):
+            low, high = float(column[dangerous].min()), float(column[dangerous].max())
+            where = _format_where(low, high, parameter)
+            yield f"All {int(dangerous.sum())} {what} have {parameter.name} {where}, of {format_range(parameter)}."
+
+
+def _is_clearly_narrower(column: FloatArray, dangerous: BoolArray, parameter: Parameter, chance: float) -> bool:
+    width = parameter.high - parameter.low
+    low, high = column[dangerous].min(), column[dangerous].max()
+    if not width > 0.0 or high - low > _MAX_WIDTH * width:
+        return False
+    # The search does not fill the range evenly, so the scenarios that were run are counted, not the range.
+    share, count = float(((column >= low) & (column <= high)).mean()), int(dangerous.sum())
+    by_chance = count * share ** (count - 1) - (count - 1) * share**count
+    return by_chance <= chance
+
+
+def _format_where(low: float, high: float, parameter: Parameter) -> str:
+    """Say the range in words, rounded outwards; a bound near that of the explored range is left out."""
+    width = parameter.high - parameter.low
+    step = 10.0 ** (math.floor(math.log10(width)) - 2)
+    lower, upper = (f"{bound:.6g}" for bound in (math.floor(low / step) * step, math.ceil(high / step) * step))
+    at_top, at_bottom = high > parameter.high - 0.05 * width, low < parameter.low + 0.05 * width
+    if at_top:
+        return f"from {append_unit(lower, parameter.unit)} up"
+    if at_bottom:
+        return f"up to {append_unit(upper, parameter.unit)}"
+    return f"from {lower} to {append_unit(upper, parameter.unit)}"

@@ -1,0 +1,83 @@
+"""Answers of the page: where collisions lie, what was held fixed, and what to do next."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import pytest
+
+import cornercase as cc
+from cornercase.evidence import Estimate
+from cornercase.report._report_data import read_report_data
+from cornercase.report.text._answers import page_answers
+from cornercase.report.text._phrases import format_range
+from cornercase.study import StudyFile
+
+
+def answer(data, name):
+    return next(one for one in page_answers(data) if one.name == name)
+
+
+@pytest.fixture(scope="module")
+def crossing(tmp_path_factory, x_intersection):
+    """A study with collisions, whose scenario file lies beside it."""
+    path = tmp_path_factory.mktemp("crossing") / "s.db"
+    cc.explore(
+        x_intersection,
+        path,
+        ego="Ego",
+        other="Pedestrian",
+        metrics=["wttc"],
+        critical=0.2,
+        optimizer="sobol",
+        budget=80,
+    )
+    with StudyFile.open(path, readonly=True) as study:
+        return read_report_data(study)
+
+
+def test_what_to_drive_on_the_track_lies_beside_a_collision(crossing):
+    told = answer(crossing, "next")
+    colliding = {row.id for row in crossing.rows if crossing.entities_hit[row.id]}
+    pairs = [re.fullmatch(r"Scenario (\d+): .*; it collides in scenario (\d+), with .*\.", one) for one in told.points]
+    found = [(int(one[1]), int(one[2])) for one in pairs if one]
+    assert 3 <= len(found) <= 5
+    assert all(safe not in colliding and hit in colliding for safe, hit in found)
+    (hardest,) = re.findall(r"hardest in scenario (\d+)", answer(crossing, "collisions").text)
+    assert told.text.startswith(f"Give scenario {hardest}, the hardest collision, to the developer")
+    assert all(f"scenario {safe}" in told.text for safe, _ in found)
+    assert f"--ids {hardest}" in told.points[0]
+    assert "--one-page" in told.points[1]
+
+
+def test_the_ranges_and_what_was_held_fixed_stand_beside_what_is_missed(crossing):
+    searched, fixed, *_ = answer(crossing, "missed").points
+    assert all(f"{one.name} {format_range(one)}" in searched for one in crossing.parameters)
+    assert "Pedestrian as the file says, simulator builtin with a time step of 0.05 s" in fixed
+
+
+def test_the_range_in_which_all_collisions_lie_is_told_rounded_outwards(crossing):
+    parameter = crossing.parameters[0]
+    limit = parameter.low + 0.7 * (parameter.high - parameter.low)
+    hits = crossing.values[:, 0] > limit
+    assert hits.sum() > 10
+    touched = {row.id: frozenset(["Pedestrian"] * bool(hit)) for row, hit in zip(crossing.rows, hits, strict=True)}
+    text = " ".join(answer(replace(crossing, entities_hit=touched), "parameters").points)
+    ((count, low),) = re.findall(rf"All (\d+) collisions have {parameter.name} from ([\d.]+) m up, of", text)
+    assert int(count) == hits.sum()
+    assert limit - 1.0 < float(low) <= crossing.values[hits, 0].min()
+    # Neither do the other parameters differ, nor a few scenarios say anything.
+    assert text.count("collisions have") == 1
+    few = {row.id: frozenset(["Pedestrian"] * (k < 2)) for k, row in enumerate(crossing.rows)}
+    assert "collisions have" not in " ".join(answer(replace(crossing, entities_hit=few), "parameters").points)
+
+
+def test_a_share_that_rounds_to_all_is_not_said_to_be_missed_beside_what_was_found(crossing):
+    whole = Estimate(1.0, 1.0, 1.0)
+    critical = crossing.summary.estimates.critical
+    critical = replace(critical, critical_set=replace(critical.critical_set, missed_fraction=whole))
+    summary = replace(crossing.summary, estimates=replace(crossing.summary.estimates, critical=critical))
+    text = answer(replace(crossing, summary=summary), "missed").text
+    assert "100 %" not in text.partition(". ")[0]
+    assert f"the {critical.n_critical} critical scenarios are single points of it" in text
