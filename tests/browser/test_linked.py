@@ -136,6 +136,19 @@ def test_filters_show_what_the_study_says(tab, reports, studies):
     assert shown(page) == set(table.index[table["trajectory-distance"] <= middle])
 
 
+def test_who_is_at_fault_can_be_picked(tab, reports, studies):
+    page = tab.open(reports("plain"))
+    with StudyFile.open(studies("plain"), readonly=True) as study:
+        impacts = {scenario: found for scenario, found in study.impacts().items() if found}
+    faults = {scenario: max(found, key=lambda one: one.speed).fault.who for scenario, found in impacts.items()}
+    assert set(faults.values()) == {"other"}
+    page.select_option("#filter-culprit", "Pedestrian")
+    assert shown(page) == set(faults)
+    page.wait_for_timeout(500)
+    again = tab.open(page.url)
+    assert shown(again) == set(faults)
+
+
 def test_what_failed_can_be_picked(tab, reports, studies):
     page = tab.open(reports("failed"))
     with StudyFile.open(studies("failed"), readonly=True) as study:

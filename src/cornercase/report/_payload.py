@@ -10,6 +10,7 @@ from typing import Any, Final
 from cornercase.clustering import Analysis
 from cornercase.clustering._headline import find_headline_aspect, has_useful_clusters
 from cornercase.evidence._bands import BANDS_PREFIX
+from cornercase.metrics._outcome import Impact
 from cornercase.report._chart_data import coverage_charts, hull_edges, search_chart, sensitivity_chart
 from cornercase.report._courses import encode_courses
 from cornercase.report._predictor_payload import predictor_payload
@@ -46,6 +47,8 @@ def scenario_payload(data: ReportData) -> dict[str, Any]:
     selected = set() if data.summary.reduced_set is None else set(data.summary.reduced_set.ids)
     outcomes = data.outcomes
     outcome_names = sorted(set(outcomes.values()))
+    culprits = {scenario: _culprit(meta.ego, impact) for scenario, impact in data.hardest_impacts.items()}
+    culprit_names = sorted(set(culprits.values()) - {None})
     against = [
         [data.score_sources[metric.name].get(row.id) for metric in data.metrics]
         for row in data.rows
@@ -53,6 +56,7 @@ def scenario_payload(data: ReportData) -> dict[str, Any]:
     ]
     return {
         "outcomes": outcome_names,
+        "culprits": culprit_names,
         "scenarios": {
             "id": [row.id for row in rows],
             "round": [row.round for row in rows],
@@ -66,6 +70,7 @@ def scenario_payload(data: ReportData) -> dict[str, Any]:
                 [int(not data.entities_hit[row.id].isdisjoint(meta.others)) for row in data.rows], 0
             ),
             "outcome": [outcome_names.index(outcomes[row.id]) if row.id in outcomes else None for row in rows],
+            "culprit": [culprit_names.index(name) if (name := culprits.get(row.id)) else None for row in rows],
             "kept": [int(row.id in selected) for row in rows],
             "audit": [int(meta.is_audit(row.id)) for row in rows],
         }
@@ -73,6 +78,13 @@ def scenario_payload(data: ReportData) -> dict[str, Any]:
         "errors": {str(row.id): row.error or "" for row in data.failed},
         "courses": {name: _courses_payload(data, name, rows) for name in data.scores},
     }
+
+
+def _culprit(ego: str, impact: Impact) -> str | None:
+    """Return who is at fault for a collision of the ego, ``"both"`` or ``"undecided"``; None if that is not stored."""
+    if impact.fault is None:
+        return None
+    return {"ego": ego, "other": impact.entity}.get(impact.fault.who, impact.fault.who)
 
 
 def score_source_column(meta: StudyMeta, others: Sequence[Sequence[str | None] | None]) -> dict[str, Any]:

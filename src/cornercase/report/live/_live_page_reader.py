@@ -68,6 +68,7 @@ def scenario_columns(meta: StudyMeta, digests: Sequence[LiveScenario]) -> dict[s
             "critical": [int(digest.critical) for digest in digests],
             "collides": [int(digest.collides) if digest.scores else None for digest in digests],
             "outcome": [None] * len(rows),
+            "culprit": [None] * len(rows),
             "kept": [0] * len(rows),
             "audit": [int(meta.is_audit(row.id)) for row in rows],
         }

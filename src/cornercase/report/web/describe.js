@@ -33,7 +33,7 @@ function parameterText(store, k, row) {
 
 // Pairs of name and value that summarize a scenario.
 function describeScenario(store, row, most = 10) {
-  const { scenarios, parameters, metrics, outcomes, kept, errors } = store.contents;
+  const { scenarios, parameters, metrics, outcomes, culprits, kept, errors } = store.contents;
   const id = scenarios.id[row];
   const lines = [];
   if (scenarios.failed[row]) lines.push(["failed", shortened(errors[id] ?? "", 90)]);
@@ -46,6 +46,7 @@ function describeScenario(store, row, most = 10) {
   if (parameters.length > most) lines.push(["more parameters", String(parameters.length - most)]);
   if (store.options.aspect !== null && !scenarios.failed[row]) lines.push(["kind", store.kindName(store.kindOf(row))]);
   if (scenarios.outcome[row] !== null) lines.push(["outcome", outcomes[scenarios.outcome[row]]]);
+  if (scenarios.culprit[row] !== null) lines.push(["at fault", culprits[scenarios.culprit[row]]]);
   if (scenarios.critical[row]) lines.push(["critical", "yes"]);
   if (kept[id]) lines.push(["kept as", kept[id].role]);
   const note = store.notes.get(id);

@@ -4,7 +4,7 @@
 class FilterBar {
   constructor(box, store) {
     this.store = store;
-    this.values = { kind: "", outcome: "", kept: "", failed: "", critical: "" };
+    this.values = { kind: "", outcome: "", culprit: "", kept: "", failed: "", critical: "" };
     const controls = document.createElement("div");
     controls.id = "filter-controls";
     const state = document.createElement("div");
@@ -29,7 +29,7 @@ class FilterBar {
       this[name].addEventListener("change", () => store.set({ [name]: this[name].value }));
     }
     this.selects = {};
-    const texts = { kind: "Kind", outcome: "Outcome", critical: "Critical", kept: "Kept", failed: "Failed" };
+    const texts = { kind: "Kind", outcome: "Outcome", culprit: "At fault", critical: "Critical", kept: "Kept", failed: "Failed" };
     for (const [name, text] of Object.entries(texts)) {
       this.selects[name] = labelledSelect(box, text, `filter-${name}`);
       this.selects[name].addEventListener("change", () => this.set({ [name]: this.selects[name].value }));
@@ -84,6 +84,7 @@ class FilterBar {
     if (value === "") return true;
     if (name === "kind") return this.labels().some((label) => String(label ?? "none") === value);
     if (name === "outcome") return contents.outcomes.includes(value);
+    if (name === "culprit") return contents.culprits.includes(value);
     return value === "0" || value === "1";
   }
 
@@ -94,7 +95,7 @@ class FilterBar {
 
   applyAll() {
     const { store, values } = this;
-    const { outcomes, scenarios } = store.contents;
+    const { culprits, outcomes, scenarios } = store.contents;
     const put = (name, test, label) => {
       if (test === null) store.filters.delete(name);
       else store.filters.set(name, { test, label });
@@ -103,6 +104,8 @@ class FilterBar {
     put("kind", values.kind === "" ? null : (row) => store.kindOf(row) === kind, `kind: ${store.kindName(kind)}`);
     const outcome = outcomes.indexOf(values.outcome);
     put("outcome", outcome < 0 ? null : (row) => scenarios.outcome[row] === outcome, `outcome: ${values.outcome}`);
+    const culprit = culprits.indexOf(values.culprit);
+    put("culprit", culprit < 0 ? null : (row) => scenarios.culprit[row] === culprit, `at fault: ${values.culprit}`);
     for (const name of ["kept", "failed", "critical"]) {
       const wanted = Number(values[name]);
       const test = values[name] === "" ? null : (row) => store.contents.scenarios[name][row] === wanted;
@@ -136,12 +139,15 @@ class FilterBar {
     const kinds = labels.map((label) => [String(label ?? "none"), store.kindName(label)]);
     setOptions(this.selects.kind, [["", "any"], ...kinds]);
     setOptions(this.selects.outcome, [["", "any"], ...contents.outcomes.map((name) => [name, name])]);
+    setOptions(this.selects.culprit, [["", "any"], ...contents.culprits.map((name) => [name, name])]);
     for (const name of ["kept", "failed", "critical"]) {
       setOptions(this.selects[name], [["", "any"], ["1", name], ["0", `not ${name}`]]);
       this.selects[name].disabled = !contents.scenarios[name].includes(1);
     }
     this.selects.kind.disabled = !kinds.length;
     this.selects.outcome.disabled = !contents.outcomes.length;
+    // Only collisions have one, and a page that grows does not know it.
+    this.selects.culprit.parentElement.hidden = !contents.culprits.length;
     for (const [name, select] of Object.entries(this.selects)) {
       select.value = this.values[name];
       if (select.selectedIndex < 0) select.value = "";

@@ -106,6 +106,11 @@ class ScenarioTable {
       const value = (row) => scenarios.outcome[row] ?? Infinity;
       columns.push({ key: "outcome", title: "outcome", text, value });
     }
+    if (contents.culprits.length) {
+      const text = (row) => contents.culprits[scenarios.culprit[row]] ?? "";
+      const value = (row) => scenarios.culprit[row] ?? Infinity;
+      columns.push({ key: "culprit", title: "at fault", text, value });
+    }
     if (store.options.aspect !== null) {
       const text = (row) => (scenarios.failed[row] ? "" : store.kindName(store.kindOf(row)));
       // The kinds of a suite are those of the runs that it was chosen from.
