@@ -134,8 +134,9 @@ def _initial_contents(meta: StudyMeta, path: Path) -> dict[str, Any]:
     influential = list(range(len(meta.space.parameters)))
     return study_info_payload(meta, path.name) | {
         "about": meta.roles_text, "critical": critical, "default_aspect": None, "influential": influential,
-        "outcomes": [], "culprits": [], "answers": [], "captions": {}, "recordings_left_out": "", "roads": None, "roads_missing": "",
-        "rerun": None, "details": [], "provenance": "", "kept": {}, "kinds": {}, "most_critical": {},
+        "outcomes": [], "culprits": [], "answers": [], "captions": {}, "recordings_left_out": "",
+        "roads": None, "roads_missing": "", "rerun": None, "details": [], "provenance": "", "kept": {}, "kinds": {},
+        "most_critical": {},
     }  # fmt: skip
 
 

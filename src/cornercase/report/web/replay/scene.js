@@ -36,10 +36,9 @@ function drawScene(context, scene) {
     if (box) drawEntity(context, box, recording.kinds[entity], colours[lookOf(entity)], colours, place, view.scale);
   });
   if (scene.sight) drawLook(context, scene, boxes, place);
-  for (const collision of recording.collisions) {
-    if (time >= collision[0] - 1e-6) drawCollision(context, scene, collision, place);
-  }
-  drawLabels(context, scene, boxes, lookOf, place);
+  const past = recording.collisions.filter(([when]) => time >= when - 1e-6);
+  const taken = past.map((collision) => drawCollision(context, scene, collision, place)).filter(Boolean);
+  drawLabels(context, scene, boxes, lookOf, place, taken);
   drawScaleBar(context, view.scale, height, colours);
 }
 
@@ -179,10 +178,16 @@ function labelsAbove(scene, boxes, place) {
   return (entity) => entity !== (egoFirst ? scene.other : scene.ego);
 }
 
-// Labels stand beside boxes, those of ego and other first; other labels are left out if they would cover these.
-function drawLabels(context, scene, boxes, lookOf, place) {
+// How far a box reaches up and down from its middle, in pixels.
+function reachOf(box, view) {
+  const reach = Math.abs(box.sin) * box.halfLength + Math.abs(box.cos) * box.halfWidth;
+  return Math.max(reach * view.scale, SMALLEST_RADIUS);
+}
+
+// Labels stand beside boxes, those of ego and other first; other labels are left out if they would cover these, or what
+// is taken already.
+function drawLabels(context, scene, boxes, lookOf, place, taken) {
   const above = labelsAbove(scene, boxes, place);
-  const taken = [];
   const order = boxes.map((_, entity) => entity).filter((entity) => boxes[entity]);
   order.sort((one, other) => (lookOf(one) === "third") - (lookOf(other) === "third"));
   for (const entity of order) {
@@ -191,10 +196,7 @@ function drawLabels(context, scene, boxes, lookOf, place) {
     const stands = !(Math.abs(box.speed) > 0.05);
     const text = look === "third" && stands ? name : `${name} ${box.speed.toFixed(1)} m/s`;
     const [across, y] = place(box.x, box.y);
-    const reach = Math.max(
-      (Math.abs(box.sin) * box.halfLength + Math.abs(box.cos) * box.halfWidth) * view.scale,
-      SMALLEST_RADIUS,
-    );
+    const reach = reachOf(box, view);
     context.font = SCENE_FONT;
     const half = context.measureText(text).width / 2 + 2;
     // At the edge of the scene the label is moved inside.
@@ -203,7 +205,7 @@ function drawLabels(context, scene, boxes, lookOf, place) {
     const heights = above(entity) ? [y - reach - 8, y + reach + 16] : [y + reach + 16, y - reach - 8];
     const clear = ([left, right, up], down) => x + half < left || x - half > right || Math.abs(up - down) > 14;
     const free = (down) => taken.every((one) => clear(one, down));
-    const down = look === "third" ? heights.find(free) : heights[0];
+    const down = heights.find(free) ?? (look === "third" ? undefined : heights[0]);
     if (down === undefined) continue;
     taken.push([x - half, x + half, down]);
     writeText(context, text, x, down, colours[look], colours.halo, "center");
@@ -221,10 +223,10 @@ function writeText(context, text, x, y, colour, halo, align = "left") {
   context.fillText(text, x, y);
 }
 
-// A star, the only mark with this shape, with the time of the collision.
-function drawCollision(context, { recording, colours, width }, [when, one, another], place) {
+// A star, the only mark with this shape, with the time of the collision. Returns the place of the text.
+function drawCollision(context, { recording, colours, view, width }, [when, one, another], place) {
   const [first, second] = [boxAt(recording, one, when), boxAt(recording, another, when)];
-  if (!first || !second) return;
+  if (!first || !second) return null;
   const [x, y] = place(...contactOf(first, second));
   context.save();
   context.fillStyle = colours.hit;
@@ -241,9 +243,14 @@ function drawCollision(context, { recording, colours, width }, [when, one, anoth
   context.restore();
   const text = `collision at ${when.toFixed(2)} s`;
   context.font = SCENE_FONT;
-  // Left of the star if there is no room on its right.
-  const fits = x + 20 + context.measureText(text).width < width;
-  writeText(context, text, x + (fits ? 15 : -15), y + 4, colours.hit, colours.halo, fits ? "left" : "right");
+  // Beyond the label of the upper box, or below that of the lower one, so that it covers neither cars nor labels.
+  const middles = [first, second].map((box) => [place(box.x, box.y)[1], reachOf(box, view)]);
+  const up = Math.min(...middles.map(([middle, reach]) => middle - reach)) - 26;
+  const down = up > 12 ? up : Math.max(...middles.map(([middle, reach]) => middle + reach)) + 34;
+  const half = context.measureText(text).width / 2 + 2;
+  const across = Math.max(half, Math.min(x, width - half));
+  writeText(context, text, across, down, colours.hit, colours.halo, "center");
+  return [across - half, across + half, down];
 }
 
 function drawScaleBar(context, scale, height, colours) {
