@@ -136,6 +136,19 @@ def test_filters_show_what_the_study_says(tab, reports, studies):
     assert shown(page) == set(table.index[table["trajectory-distance"] <= middle])
 
 
+def test_a_scenario_that_an_answer_names_is_replayed(tab, reports):
+    page = tab.open(reports("plain"))
+    page.locator("#more-answers").click()
+    links = page.locator("#answers a[href^='#id=']")
+    names = links.all_inner_texts()
+    assert len(names) > 3
+    link = links.nth(len(names) - 1)
+    link.click()
+    number = int(names[-1].split()[-1])
+    assert page.evaluate("() => cornercase.store.selected") == number
+    assert page.locator("#replay .pane-title").first.inner_text() == f"Scenario {number}"
+
+
 def test_who_is_at_fault_can_be_picked(tab, reports, studies):
     page = tab.open(reports("plain"))
     with StudyFile.open(studies("plain"), readonly=True) as study:
