@@ -3,6 +3,7 @@
 python benchmarks/paper.py [--quick] [--seeds N] [--keep FOLDER] [--page FILE] [--json FILE]
 python benchmarks/paper.py --family [--seeds N] [--statement NUMBER] [--keep FOLDER] [--page FILE] [--json FILE]
 python benchmarks/paper.py --experiment NAME [--seeds N] [--keep FOLDER]
+python benchmarks/paper.py --space N [--keep FOLDER]
 
 Schütt, Otten and Sax (2023), section "Discussion": scenario 1 is the X-intersection with 400 concrete scenarios,
 scenario 2 the T-intersection with 300, each with a cautious, a normal and an aggressive ego. Searched by Thompson
@@ -10,7 +11,8 @@ sampling without filling, as in the paper.
 
 The first command asks of the default reconstructions what the paper leaves open. With --family the statements are
 tested for each reconstruction of `benchmarks/replication/family.py`, and each gets a verdict. With --experiment one
-cause is changed at a time, to see why statements hold for none. Studies and answers stay in the folder, so that
+cause is changed at a time, to see why statements hold for none. With --space the statements are tested in N
+reconstructions that fill the space of what the paper leaves open. Studies and answers stay in the folder, so that
 each can go on after an interruption.
 """
 
@@ -25,7 +27,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.replication import open_questions
+from benchmarks.replication import open_choices, open_questions
 from benchmarks.replication.experiments import EXPERIMENTS, run_experiment
 from benchmarks.replication.statements import STATEMENTS
 from benchmarks.replication.verdicts import CONFIRMED, NONE, SOME, run_family, table, verdict, write_table
@@ -39,6 +41,7 @@ def main() -> None:
     parser.add_argument("--family", action="store_true", help="test the statements for each reconstruction")
     parser.add_argument("--seeds", type=int, default=10, metavar="N", help="seeds 0 to N-1 of each reconstruction")
     parser.add_argument("--experiment", choices=EXPERIMENTS, metavar="NAME", help=f"one of {', '.join(EXPERIMENTS)}")
+    parser.add_argument("--space", type=int, metavar="N", help="test the statements in N reconstructions a scenario")
     parser.add_argument(
         "--statement", choices=STATEMENTS, metavar="NUMBER", help="test one statement of the family only"
     )
@@ -49,6 +52,9 @@ def main() -> None:
         folder = options.keep or Path(temporary)
         if options.family:
             show_family(options, folder, budget)
+        elif options.space:
+            tried = list(open_choices.try_reconstructions(folder, options.space, budget, progress=True))
+            print("\n".join(open_choices.table(tried)))
         elif options.experiment:
             print("\n".join(run_experiment(options.experiment, folder, range(options.seeds), budget)))
         else:
