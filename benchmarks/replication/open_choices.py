@@ -140,8 +140,8 @@ def _declared(name: str, value: str) -> str:
 
 def table(tried: Sequence[Tried]) -> Iterator[str]:
     """Markdown rows: each statement, and in how many reconstructions it holds by each reading."""
-    yield "| | statement | holds in | by readings |"
-    yield "| --- | --- | --- | --- |"
+    yield "| statement | holds in | by readings |"
+    yield "| --- | --- | --- |"
     for scenario in (X, T):
         those = [one for one in tried if one.scenario == scenario]
         for statement in _statements_of(scenario) if those else ():
@@ -149,7 +149,7 @@ def table(tried: Sequence[Tried]) -> Iterator[str]:
             counts = {reading: sum(one.holds[name][reading] for one in those) for reading in _READINGS[scenario]}
             some = sum(any(one.holds[name].values()) for one in those)
             told = ", ".join(f"{reading} {count}" for reading, count in counts.items())
-            yield f"| {name} | {statement.says} | {some} of {len(those)} | {told} |"
+            yield f"| {statement.says} ({name}) | {some} of {len(those)} | {told} |"
     for scenario, space in ((X, SPACE_X), (T, SPACE_T)):
         those = [one for one in tried if one.scenario == scenario]
         if those:
@@ -158,4 +158,4 @@ def table(tried: Sequence[Tried]) -> Iterator[str]:
             values = ", ".join(
                 f"{one.name} {best.values[one.name]}{one.unit and ' '}{one.unit}" for one in space.parameters
             )
-            yield f"| | most in one of {scenario} | {len(held)} of {len(best.holds)} | {values} |"
+            yield f"| most in one of {scenario} | {len(held)} of {len(best.holds)} | {values} |"

@@ -20,7 +20,7 @@ def replication(monkeypatch):
     """Modules of the benchmark: statements, family and verdicts."""
     monkeypatch.syspath_prepend(str(ROOT))
     before = set(sys.modules)
-    names = ("statements", "family", "verdicts")
+    names = ("statements", "family", "verdicts", "open_choices")
     yield {name: importlib.import_module(f"benchmarks.replication.{name}") for name in names}
     for name in set(sys.modules) - before:
         if name.startswith("benchmarks"):
@@ -93,6 +93,36 @@ def test_a_changed_reconstruction_of_a_scenario_differs_from_the_example_as_it_s
     assert ranges["pedestrian_wait"] == (4.0, 15.0)
     text = config.logical.path.read_text("utf-8")
     assert all(old not in text and new in text for old, new in corner.changes)
+
+
+def test_each_reconstruction_of_the_space_is_a_scenario_with_its_values(replication, tmp_path):
+    choices = replication["open_choices"]
+    for scenario, space in (("x-intersection", choices.SPACE_X), ("t-intersection", choices.SPACE_T)):
+        corners = np.vstack([np.zeros(space.dimension), np.ones(space.dimension)])
+        for k, values in enumerate(space.values(corners)):
+            config = choices._runs(f"{scenario}-{k}", scenario, values).config("", 0, 5, tmp_path)
+            text = config.logical.path.read_text("utf-8")
+            if scenario == "t-intersection":
+                assert f'name="c_speed" parameterType="double" value="{values["speed of C"]:g}"' in text
+                assert f"sight_range={values['sight']:g}" in config.drivers["Ego"]
+            else:
+                longest = {one.name: one.high for one in config.logical.space.parameters}["pedestrian_wait"]
+                assert longest == values["longest wait"]
+                assert ('value="33"' in text) == (values["a run ends"] == "33 s")
+
+
+def test_a_statement_holds_in_a_reconstruction_if_it_does_by_some_reading(replication):
+    choices = replication["open_choices"]
+    names = [choices._name(one) for one in choices._statements_of("x-intersection")]
+    cell = {"automatic": False, "by hand": True, "speed, by hand": False}
+    none = dict.fromkeys(cell, False)
+    values = choices.SPACE_X.values(np.zeros((1, choices.SPACE_X.dimension)))[0]
+    tried = [
+        choices.Tried("x-intersection", values, {name: cell if name == "1.8" else none for name in names}),
+        choices.Tried("x-intersection", values, dict.fromkeys(names, none)),
+    ]
+    (row,) = (row for row in choices.table(tried) if "(1.8)" in row)
+    assert "| 1 of 2 | automatic 0, by hand 1, speed, by hand 0 |" in row
 
 
 @pytest.mark.slow
