@@ -207,7 +207,7 @@ def test_progress_reaches_the_end(capsys):
         distance_matrix([[0.0, 1.0]] * 30, progress=True)
     finally:
         verbosity.reset(token)
-    assert "1 of 1 million steps" in capsys.readouterr().err
+    assert "1 of 1 million pairs of points" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

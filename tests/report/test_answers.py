@@ -9,6 +9,7 @@ import pytest
 
 import cornercase as cc
 from cornercase.evidence import Estimate
+from cornercase.report._near_misses import NearMiss, find_closest_approach
 from cornercase.report._report_data import read_report_data
 from cornercase.report.text._answers import page_answers
 from cornercase.report.text._phrases import format_range
@@ -64,13 +65,17 @@ def test_the_range_in_which_all_collisions_lie_is_told_rounded_outwards(crossing
     assert hits.sum() > 10
     touched = {row.id: frozenset(["Pedestrian"] * bool(hit)) for row, hit in zip(crossing.rows, hits, strict=True)}
     text = " ".join(answer(replace(crossing, entities_hit=touched), "parameters").points)
-    ((count, low),) = re.findall(rf"All (\d+) collisions have {parameter.name} from ([\d.]+) m up, of", text)
+    ((count, low),) = re.findall(
+        rf"All (\d+) collisions that were found have {parameter.name} from ([\d.]+) m up, of", text
+    )
     assert int(count) == hits.sum()
     assert limit - 1.0 < float(low) <= crossing.values[hits, 0].min()
     # Neither do the other parameters differ, nor a few scenarios say anything.
-    assert text.count("collisions have") == 1
+    assert text.count("collisions that were found have") == 1
     few = {row.id: frozenset(["Pedestrian"] * (k < 2)) for k, row in enumerate(crossing.rows)}
-    assert "collisions have" not in " ".join(answer(replace(crossing, entities_hit=few), "parameters").points)
+    assert "collisions that were found have" not in " ".join(
+        answer(replace(crossing, entities_hit=few), "parameters").points
+    )
 
 
 def test_a_share_that_rounds_to_all_is_not_said_to_be_missed_beside_what_was_found(crossing):
@@ -81,3 +86,10 @@ def test_a_share_that_rounds_to_all_is_not_said_to_be_missed_beside_what_was_fou
     text = answer(replace(crossing, summary=summary), "missed").text
     assert "100 %" not in text.partition(". ")[0]
     assert f"the {critical.n_critical} critical scenarios are single points of it" in text
+
+
+def test_an_entity_that_is_nearest_where_it_was_placed_is_no_near_miss():
+    placed = {"nearest": 1.4, "nearest time": 0.0}
+    passed = {"nearest": 2.5, "nearest time": 3.0}
+    assert find_closest_approach([placed], ["Van"], 0.0) is None
+    assert find_closest_approach([placed, passed], ["Van", "Car"], 0.0) == NearMiss("Car", 2.5, 3.0)

@@ -503,10 +503,25 @@ def test_a_set_is_shown_with_the_coverage_of_the_analyses_that_there_are_now(x_i
     assert charts[0].reach[-1] != charts[1].reach[-1]
 
 
-def test_near_misses_are_named_where_nothing_collides_and_lead_to_their_replays(path, tmp_path):
+class Approaching(Synthetic):
+    """B comes nearer to the ego for two seconds, and goes away again."""
+
+    def run(self, concretes):
+        for recording in super().run(concretes):
+            if isinstance(recording, Recording):
+                x = recording.x + np.array([[0.0], [1.0]]) * [4.0, 2.0, 0.0, 2.0, 4.0]
+                recording = replace(recording, x=x)
+            yield recording
+
+
+def test_near_misses_are_named_where_nothing_collides_and_lead_to_their_replays(tmp_path):
+    path = tmp_path / "s.db"
+    with StudyFile.create(path, about(SPACE, "distance", "wttc", critical=1.0, **BY_SOBOL)) as study:
+        explorer(study, Approaching(), metrics=("distance", "wttc"), optimizer="sobol", budget=20).run()
     with StudyFile.open(path, readonly=True) as study:
         data = read_report_data(study)
     assert not data.hardest_impacts
+    assert {approach.time for approach in data.approaches.values()} == {2.0}
     answers = {one.name: one for one in page_answers(data)}
     nearest = min(data.approaches, key=lambda scenario: (data.approaches[scenario].gap, scenario))
     assert answers["collisions"].points[0].startswith(f"Near miss in scenario {nearest}: ")
@@ -529,4 +544,4 @@ def test_where_the_dangerous_scenarios_lie_is_said_beside_the_influence(path):
             narrow.append((parameter.name, f"from {min(inside):.3g} to {max(inside):.3g}", len(inside)))
     assert len(said) == len(narrow)
     for text, (name, place, count) in zip(said, narrow, strict=True):
-        assert text.startswith(f"All {count} critical scenarios have {name} {place}")
+        assert text.startswith(f"All {count} critical scenarios that were found have {name} {place}")

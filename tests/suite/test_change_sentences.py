@@ -62,7 +62,7 @@ def test_collisions_come_first_with_their_scenarios_and_whose_fault_they_are(tmp
     first, *_ = describe_changes(found)
     assert first.startswith("Collisions: 1 new (8)")
     assert "1 gone (4)" in first
-    assert first.endswith("of 40 scenarios that ran with both, 1 collides with each version.")
+    assert first.endswith("of 40 scenarios that ran with both, 1 collides in both versions.")
     faults = {pair.ids[0]: pair.faults for pair in found.pairs if any(pair.collides)}
     assert set(faults) == {4, 5, 8}
     with StudyFile.open(new) as study:

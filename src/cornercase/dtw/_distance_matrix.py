@@ -336,7 +336,7 @@ def _progress_bar(progress: bool, cells: int) -> Iterator[Callable[[int], None]]
     total = max(1, round(cells / _CELLS_PER_STEP))
     finished = 0
 
-    with show_bars(progress), progress_step(total, "comparing", "million steps") as show:
+    with show_bars(progress), progress_step(total, "comparing", "million pairs of points") as show:
 
         def advance(more: int) -> None:
             nonlocal finished

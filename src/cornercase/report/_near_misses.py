@@ -21,12 +21,17 @@ class NearMiss:
         return f"{self.gap:.2g} m from {self.entity} at {self.time:.3g} s"
 
 
-def find_closest_approach(features: Sequence[Mapping[str, float]], others: Sequence[str]) -> NearMiss | None:
-    """Find the closest approach among the features with each other entity; None if the ego met none of them."""
+def find_closest_approach(
+    features: Sequence[Mapping[str, float]], others: Sequence[str], begin: float
+) -> NearMiss | None:
+    """Find the closest approach among the features with each other entity; None if the ego came nearer to none of them.
+
+    An entity that is nearest at the time `begin` of the first instant was placed there.
+    """
     approaches = [
         NearMiss(other, values["nearest"], values["nearest time"])
         for other, values in zip(others, features, strict=True)
-        if np.isfinite(values.get("nearest time", np.nan))
+        if values.get("nearest time", np.nan) > begin
     ]
     return min(approaches, key=lambda approach: approach.gap, default=None)
 

@@ -121,7 +121,7 @@ def read_report_data(
             lines[metric.name][scenario] = line
         touched[scenario] = entities_hit_by_ego(study.meta, digest.collisions)
         impacts[scenario] = digest.outcomes[0].impacts
-        if (approach := find_closest_approach(digest.features, study.meta.others)) is not None:
+        if (approach := find_closest_approach(digest.features, study.meta.others, digest.begin)) is not None:
             approaches[scenario] = approach
         region = _union_region(region, digest.bounds)
         if on_read is not None:

@@ -25,7 +25,7 @@ def describe_next_steps(data: ReportData) -> tuple[str, tuple[str, ...]]:
     text = f"Give scenario {scenario}, {what}, to the developer"
     if pairs:
         listed = join_with_and([f"scenario {data.rows[pair.without_collision].id}" for pair in pairs])
-        text += f", and drive {listed} on the proving ground: right beside a collision"
+        text += f", and drive {listed} on the proving ground: these are nearest to a collision"
     points = [
         *_describe_for_developer(data, scenario),
         *_describe_for_deciders(data),
@@ -72,8 +72,8 @@ def _describe_for_track(data: ReportData, pairs: Sequence[BoundaryPair]) -> Iter
     if data.summary.meta.repeats == 1 and data.summary.meta.nondeterminism_text:
         repeatable = " Runs differ, so repeat each before."
     yield (
-        f"Proving ground: {len(pairs)} scenario{'s' if len(pairs) > 1 else ''} without a collision right beside one"
-        f" with a collision, so that small changes turn one into the other.{repeatable}"
+        f"Proving ground: scenarios without a collision, and the nearest ones with a collision; the border lies between"
+        f" them.{repeatable}"
     )
     for pair in pairs:
         safe, hit = data.rows[pair.without_collision], data.rows[pair.with_collision]

@@ -56,7 +56,7 @@ def _describe_collisions(ran: Sequence[ScenarioPair]) -> str:
     of = f"of {_count(len(ran), 'scenario')} that ran with both"
     if not new and not lost:
         others = (
-            f"{len(both)} {_collide(len(both))} with each version{_describe_faults(both, 1)}"
+            f"{len(both)} {_collide(len(both))} in both versions{_describe_faults(both, 1)}"
             if both
             else "none collides"
         )
@@ -65,7 +65,7 @@ def _describe_collisions(ran: Sequence[ScenarioPair]) -> str:
         f"{len(new) or 'none'} new{_name(new)}{_describe_faults(new, 1)}",
         f"{len(lost) or 'none'} gone{_name(lost)}{_describe_faults(lost, 0)}",
     ]
-    return f"Collisions: {'; '.join(parts)}; {of}, {len(both) or 'none'} {_collide(len(both))} with each version."
+    return f"Collisions: {'; '.join(parts)}; {of}, {len(both) or 'none'} {_collide(len(both))} in both versions."
 
 
 def _name(pairs: Sequence[ScenarioPair]) -> str:
