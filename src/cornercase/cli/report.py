@@ -11,6 +11,7 @@ import typer
 from cornercase._common.errors import InputError
 from cornercase._common.memory import DEFAULT_MEMORY
 from cornercase.cli import options as opt
+from cornercase.cli import parsing
 from cornercase.cli.options import Option, app, out
 from cornercase.cli.profiling import Profile
 
@@ -32,6 +33,20 @@ def report(
     one_page: Annotated[
         bool, Option("--one-page", help="Write a summary instead that prints on one page of A4, for whoever decides.")
     ] = False,
+    test_cards: Annotated[
+        bool,
+        Option(
+            "--test-cards",
+            help="Write test cards instead for a proving ground: a page of A4 for each kept scenario, with values that"
+            " can be set.",
+        ),
+    ] = False,
+    ids: Annotated[
+        str | None,
+        Option(
+            "--ids", metavar="ID,ID-ID", help="Scenarios of the test cards, such as 3,17-20; default: the kept ones."
+        ),
+    ] = None,
     scenario: opt.ExploredScenario = None,
     against: Annotated[
         Path | None,
@@ -55,6 +70,7 @@ def report(
       cornercase report study.db -o report.html
       cornercase report study.db --figures -o report.html
       cornercase report study.db --one-page -o summary.html
+      cornercase report study.db --test-cards -o cards.html
       cornercase report studies -o studies/index.html
     """
     from cornercase.report import write_report
@@ -62,6 +78,10 @@ def report(
     from cornercase.report._one_page import write_one_page
 
     if study.is_dir():
+        if test_cards:
+            raise InputError(
+                f"{study}: is a folder, of which an index is written; name a study in it for --test-cards."
+            )
         if one_page or figures or figures_in is not None or scenario is not None or critical is not None:
             raise InputError(
                 f"{study}: is a folder, of which an index is written; leave --one-page, --figures, --figures-in,"
@@ -87,6 +107,26 @@ def report(
         progress=True,
     )
     out.print(f"The report is {page.resolve()}")
+
+
+def _require_test_cards_alone(study: Path, test_cards: bool, has_others: bool) -> None:
+    if not test_cards:
+        raise InputError("--ids: chooses the scenarios on test cards; add --test-cards, or leave it out.")
+    if has_others:
+        raise InputError(
+            f"--test-cards: {study} has to be a study, not a folder; leave --one-page, --figures, --figures-in and"
+            " --against out."
+        )
+
+
+def _write_test_cards(
+    study: Path, output: Path, ids: str | None, scenario: Path | None, critical: float | None
+) -> None:
+    from cornercase.report import write_test_cards
+
+    chosen = None if ids is None else parsing.parse_ids(ids, "--ids")
+    page = write_test_cards(study, output, ids=chosen, scenario=scenario, critical=critical)
+    out.print(f"The test cards are {page.resolve()}")
 
 
 @app.command()

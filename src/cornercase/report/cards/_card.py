@@ -1,0 +1,289 @@
+"""The texts and drawings of one test card."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+from cornercase._common.errors import InputError
+from cornercase._common.text.sanitize import escape_control_characters, quote_name, shorten
+from cornercase.report._road_drawing import add_road_margin, find_road_outline
+from cornercase.report.cards._condition_texts import format_speed
+from cornercase.report.cards._quantity import SettableQuantity
+from cornercase.report.cards._rounded_runs import CardRun, RoundedRun
+from cornercase.report.cards._sketch import draw_course, draw_meeting
+from cornercase.report.cards._start import StartPose, list_start_poses, read_network
+from cornercase.report.cards._start_conditions import list_movements
+from cornercase.report.cards._tolerances import NO_TOLERANCE, find_tolerances
+from cornercase.report.text._phrases import append_unit, format_criterion_with_signs, format_value
+from cornercase.scenario import Parameter, Value
+from cornercase.scenario._file import ScenarioFile
+from cornercase.study import StudyFile
+from cornercase.study._digest import find_bounds
+
+# What fits on the page.
+_MAX_PARAMETERS: Final = 7
+_MAX_PARTIES: Final = 4
+_MAX_TRIGGERS: Final = 6
+_MAX_SCORES: Final = 3
+_MAX_TRIGGER_TEXT: Final = 170
+_MAX_NAME: Final = 30
+_COURSE_MM: Final = 128.0
+_MEETING_MM: Final = 52.0
+# Heights of the drawings, and of the tables above them up to which there is room for the largest, in mm.
+_DRAWING_HEIGHTS: Final = (30.0, 52.0)
+_TABLES_HEIGHT: Final = 62.0
+_NO_CELL: Final = "–"
+
+
+@dataclass(frozen=True)
+class CardSource:
+    """What a card is made of; `run` is the run that its places and drawings show."""
+
+    scenario_id: int
+    original: CardRun
+    rounded: RoundedRun
+    role: str
+    why: str
+
+    @property
+    def run(self) -> CardRun:
+        """The rounded run if there is one, since that is what is driven; else the run of the study."""
+        return self.rounded.run or self.original
+
+
+def fill_card(
+    study: StudyFile, source: CardSource, scenario: ScenarioFile | None, quantities: Sequence[SettableQuantity]
+) -> dict[str, Any]:
+    """Return what the template needs for a card."""
+    run, meta = source.run, study.meta
+    recording, meeting = run.recording, run.meeting
+    road, no_road = find_road_outline(study, add_road_margin(find_bounds(recording)), scenario, dict(run.values))
+    poses = list_start_poses(recording, read_network(scenario, dict(run.values)))
+    parameters, more_parameters = _parameter_rows(meta.space.parameters, quantities, source)
+    parties, more_parties = _party_rows(poses, study, source)
+    triggers, trigger_note = _trigger_rows(scenario, run)
+    height = _drawing_height(parameters, parties, triggers)
+    return {
+        "id": source.scenario_id,
+        "kept_as": _clean(f"{source.role}: {source.why}" if source.role else source.why, 170),
+        "verdict": _verdict(source),
+        "parameters": parameters,
+        "more_parameters": more_parameters,
+        "fixed": _fixed_parameters(meta.space.parameters, run),
+        "parties": parties,
+        "more_parties": more_parties,
+        "further_tolerances": _further_tolerances(parties),
+        "triggers": triggers,
+        "trigger_note": trigger_note,
+        "course": draw_course(recording, meta.ego, meeting, road, _COURSE_MM, height),
+        "meeting": draw_meeting(recording, meta.ego, meeting, road, _MEETING_MM, height),
+        "no_road": escape_control_characters(no_road),
+        "at_meeting": "contact" if meeting.collides else "closest approach",
+        "results": _result_rows(study, source),
+        "has_rounded": source.rounded.run is not None,
+        "accept": _acceptance(study, meeting.other),
+        "other": _clean(meeting.other),
+        "drawn": "the rounded scenario" if source.rounded.run is not None else "the run in the study",
+    }
+
+
+def _clean(text: str, length: int = _MAX_NAME) -> str:
+    return shorten(escape_control_characters(text), length)
+
+
+def _verdict(source: CardSource) -> dict[str, str]:
+    """Return what is known of the rounded scenario, and how it is to be shown."""
+    rounded = source.rounded
+    if rounded.run is None:
+        return {"kind": "unknown", "text": f"The rounded scenario was not run again: {_clean(rounded.reason, 200)}."}
+    how = _describe_end(rounded.run)
+    if rounded.keeps_outcome:
+        text = f"The rounded scenario was run again and ends as the study's: {how}."
+        if not rounded.is_nearest:
+            text += " Rounding to the nearest steps changed the outcome, so some values are rounded the other way."
+        return {"kind": "kept", "text": text}
+    other = _describe_end(source.original)
+    tried = "no rounding up or down keeps it" if rounded.n_tried > 1 else "there is no other rounding"
+    text = f"ROUNDING CHANGES THE OUTCOME: in the study {other}; rounded {how}; {tried} ({rounded.n_tried} tried)."
+    return {"kind": "changed", "text": text}
+
+
+def _describe_end(run: CardRun) -> str:
+    contact = f"contact with {quote_name(run.meeting.other)}" if run.meeting.collides else "no contact"
+    if run.is_critical is None:
+        return contact
+    return f"{contact}, {'critical' if run.is_critical else 'not critical'}"
+
+
+def _parameter_rows(
+    parameters: Sequence[Parameter], quantities: Sequence[SettableQuantity], source: CardSource
+) -> tuple[list[list[str]], int]:
+    rows = []
+    for parameter, quantity in zip(parameters, quantities, strict=True):
+        if parameter.size == 1:
+            continue
+        before = parameter.extract_value(source.original.values)
+        after = parameter.extract_value(source.rounded.values)
+        rows.append(
+            [
+                _clean(parameter.name),
+                _clean(append_unit(_format_plain(before), quantity.unit), 40),
+                _clean(_format_setting(after, quantity), 44),
+                _format_change(before, after, quantity),
+                _parameter_tolerance(parameter, quantity),
+            ]
+        )
+    return rows[:_MAX_PARAMETERS], max(0, len(rows) - _MAX_PARAMETERS)
+
+
+def _fixed_parameters(parameters: Sequence[Parameter], run: CardRun) -> str:
+    """Return the parameters that have one value only, in a line."""
+    texts = [
+        f"{_clean(parameter.name)} {_clean(_format_plain(parameter.extract_value(run.values)), 24)}"
+        for parameter in parameters
+        if parameter.size == 1
+    ]
+    return shorten(", ".join(texts), 150)
+
+
+def _format_plain(value: Value) -> str:
+    """Format a value; of paths of files only the names, as folders of the author are private."""
+    if not isinstance(value, str):
+        return format_value(value)
+    return ", ".join(piece.strip().replace("\\", "/").rpartition("/")[2] for piece in value.split(","))
+
+
+def _drawing_height(
+    parameters: Sequence[Sequence[str]], parties: Sequence[object], triggers: Sequence[tuple[str, str, str]]
+) -> float:
+    """Return the height in mm that the tables leave to the drawings, from the lines that they may need."""
+    lines = [max(math.ceil(len(what) / 70), math.ceil(len(when) / 34)) for _, what, when in triggers]
+    tables = 4.6 * len(parameters) + 11.0 * len(parties) + sum(1.2 + 3.4 * count for count in lines)
+    low, high = _DRAWING_HEIGHTS
+    return min(high, max(low, high - (tables - _TABLES_HEIGHT)))
+
+
+def _parameter_tolerance(parameter: Parameter, quantity: SettableQuantity) -> str:
+    if parameter.choices:
+        return _NO_CELL
+    return "as of its party, below" if quantity.is_speed and not quantity.is_narrow_speed else NO_TOLERANCE
+
+
+def _format_setting(value: Value, quantity: SettableQuantity) -> str:
+    if isinstance(value, str) or not quantity.is_speed:
+        return append_unit(_format_plain(value), quantity.unit)
+    kmh = quantity.to_kmh(float(value))
+    return f"{round(kmh, 3):g} km/h ({kmh / 3.6:.2f} m/s)"
+
+
+def _format_change(before: Value, after: Value, quantity: SettableQuantity) -> str:
+    if isinstance(before, str) or isinstance(after, str):
+        return _NO_CELL
+    if quantity.step is None:
+        return f"not rounded, {quantity.note}"
+    change = float(after) - float(before)
+    return "none" if abs(change) < 1e-9 else append_unit(f"{change:+.2g}", quantity.unit).replace("-", "−")
+
+
+def _party_rows(poses: Sequence[StartPose], study: StudyFile, source: CardSource) -> tuple[list[dict[str, str]], int]:
+    """Return where each party starts: the ego, the entity that it meets, the others of the study, and the rest."""
+    meta, meeting = study.meta, source.run.meeting
+    rank = {name: k for k, name in enumerate(dict.fromkeys((meta.ego, meeting.other, *meta.others)))}
+    ordered = sorted(poses, key=lambda pose: rank.get(pose.name, len(rank)))
+    rows = []
+    for pose in ordered:
+        crosses = meeting.crosses if pose.name == meeting.other else None
+        tolerances = find_tolerances(pose.object_type, is_ego=pose.name == meta.ego, crosses=crosses)
+        rows.append(
+            {
+                "name": _clean(pose.name),
+                "kind": pose.object_type + (f" ({tolerances.target})" if tolerances else ""),
+                "speed": f"{pose.speed * 3.6:.1f} km/h ({pose.speed:.2f} m/s)",
+                "place": _format_road_position(pose),
+                "position": f"{_format_fixed(pose.x, 1)}, {_format_fixed(pose.y, 1)} m",
+                "heading": f"{_format_fixed(pose.heading, 1)}°",
+                "size": f"{pose.length:.2f} × {pose.width:.2f} m",
+                "time": "" if pose.time < 1e-9 else f"from {pose.time:.2f} s on",
+                "speed_tolerance": tolerances.speed if tolerances else NO_TOLERANCE,
+                "lateral_tolerance": tolerances.lateral if tolerances else NO_TOLERANCE,
+                "more": "; ".join(tolerances.others) if tolerances else "",
+            }
+        )
+    return rows[:_MAX_PARTIES], max(0, len(rows) - _MAX_PARTIES)
+
+
+def _further_tolerances(parties: Sequence[dict[str, str]]) -> str:
+    return "; ".join(f"{party['name']}: {party['more']}" for party in parties if party["more"])
+
+
+def _format_road_position(pose: StartPose) -> str:
+    if not pose.road:
+        return "on no lane, or unknown"
+    lane, offset = pose.lane.replace("-", "−"), _format_fixed(pose.offset, 1)
+    return f"road {_clean(pose.road, 12)}, lane {lane}, s {_format_fixed(pose.s, 1)} m, offset {offset} m"
+
+
+def _format_fixed(value: float, digits: int) -> str:
+    """Format a number with a minus sign, and without one for 0."""
+    text = f"{value:.{digits}f}"
+    return (text.lstrip("-") if float(text) == 0.0 else text).replace("-", "−")
+
+
+def _trigger_rows(scenario: ScenarioFile | None, run: CardRun) -> tuple[list[tuple[str, str, str]], str]:
+    if scenario is None:
+        return [], "Not known: the scenario file was not found, or there is none."
+    try:
+        triggers = list_movements(scenario, run.values)
+    except InputError as error:
+        return [], _clean(f"Not known: {error}", _MAX_TRIGGER_TEXT)
+    rows = [
+        (_clean(item.who), _clean(item.what, _MAX_TRIGGER_TEXT), _clean(item.when, _MAX_TRIGGER_TEXT))
+        for item in triggers
+    ]
+    left_out = len(rows) - _MAX_TRIGGERS
+    note = f"And {left_out} more, which the scenario file lists." if left_out > 0 else ""
+    return rows[:_MAX_TRIGGERS], note or ("" if rows else "No event of the storyboard moves anybody.")
+
+
+def _result_rows(study: StudyFile, source: CardSource) -> list[tuple[str, str, str]]:
+    """Return rows of what happened: name, in the study, rounded."""
+    columns = [_results(study, run) if run is not None else {} for run in (source.original, source.rounded.run)]
+    names = list(dict.fromkeys(name for column in columns for name in column))
+    return [(name, columns[0].get(name, _NO_CELL), columns[1].get(name, _NO_CELL)) for name in names]
+
+
+def _results(study: StudyFile, run: CardRun) -> dict[str, str]:
+    meeting, meta = run.meeting, study.meta
+    rows = {"contact": f"with {_clean(meeting.other, 20)}" if meeting.collides else "none"}
+    rows["smallest gap"] = "0 m" if meeting.collides else f"{meeting.gap:.2f} m to {_clean(meeting.other, 20)}"
+    rows["time of that"] = f"{meeting.time:.2f} s"
+    rows[f"speed of {_clean(meta.ego, 16)}"] = format_speed(meeting.speed)
+    rows[f"speed of {_clean(meeting.other, 16)}"] = format_speed(meeting.other_speed)
+    rows["relative speed"] = format_speed(meeting.relative_speed)
+    if meeting.sides is not None:
+        names = _clean(meta.ego, 16), _clean(meeting.other, 16)
+        rows["sides that touch"] = ", ".join(
+            f"{name} {side or '?'}" for name, side in zip(names, meeting.sides, strict=True)
+        )
+    if meeting.point is not None:
+        rows["impact point x, y"] = ", ".join(_format_fixed(value, 2) for value in meeting.point) + " m"
+    for metric in study.metrics()[:_MAX_SCORES]:
+        if metric.name in run.scores and math.isfinite(run.scores[metric.name]):
+            rows[f"score {_clean(metric.name, 26)}"] = append_unit(f"{run.scores[metric.name]:.3g}", metric.unit)
+    return rows
+
+
+def _acceptance(study: StudyFile, other: str) -> list[str]:
+    """Return what a run has to show: the requirements of a suite, or else no contact and not critical."""
+    meta = study.meta
+    if meta.requirements:
+        return [_clean(f"Requirement: {text}", 160) for text in meta.requirements[:4]]
+    texts = [f"No contact of {_clean(meta.ego)} with {' or '.join(_clean(name) for name in meta.others[:4])}."]
+    criterion = study.criterion
+    if criterion is not None and meta.condition != "collision":
+        critical = format_criterion_with_signs(criterion, study.objective.label)
+        texts.append(f"The run is not critical as the study defines it: {_clean(critical, 120)}.")
+    return texts
