@@ -43,9 +43,7 @@ def report(
     ] = False,
     ids: Annotated[
         str | None,
-        Option(
-            "--ids", metavar="ID,ID-ID", help="Scenarios of the test cards, such as 3,17-20; default: the kept ones."
-        ),
+        Option("--ids", metavar="ID,ID-ID", help="Scenarios on test cards, such as 3,17-20; default: the kept ones."),
     ] = None,
     scenario: opt.ExploredScenario = None,
     against: Annotated[
@@ -77,11 +75,12 @@ def report(
     from cornercase.report._index_page import write_index
     from cornercase.report._one_page import write_one_page
 
+    if test_cards or ids is not None:
+        others = (one_page, figures, figures_in is not None, against is not None, study.is_dir())
+        _require_test_cards_alone(study, test_cards, any(others))
+        _write_test_cards(study, output, ids, scenario, critical)
+        return
     if study.is_dir():
-        if test_cards:
-            raise InputError(
-                f"{study}: is a folder, of which an index is written; name a study in it for --test-cards."
-            )
         if one_page or figures or figures_in is not None or scenario is not None or critical is not None:
             raise InputError(
                 f"{study}: is a folder, of which an index is written; leave --one-page, --figures, --figures-in,"

@@ -1,0 +1,269 @@
+"""Test cards: values on steps within their ranges, numbers of the recordings, and what rounding changes."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from dataclasses import replace
+from html import unescape
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import cornercase as cc
+from conftest import EXAMPLES
+from cornercase.report import write_test_cards
+from cornercase.report.cards._meeting import find_meeting
+from cornercase.report.cards._quantity import SettableQuantity, find_settable_quantity
+from cornercase.report.cards._rounded_runs import RoundedRunner, reason_not_to_run, stored_run
+from cornercase.report.cards._rounding import iter_roundings
+from cornercase.report.cards._start_conditions import list_movements
+from cornercase.report.cards._tolerances import find_tolerances
+from cornercase.scenario import Parameter
+from cornercase.scenario._file import ScenarioFile
+from cornercase.study import StudyFile
+from cornercase.study._scenario_file import find_explored_scenario
+from helpers.command_line import cornercase
+
+X = EXAMPLES / "x_intersection"
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory) -> Path:
+    """The X-intersection with values between the steps, reduced."""
+    folder = tmp_path_factory.mktemp("cards")
+    shutil.copytree(X, folder / "scenario")
+    path = folder / "study.db"
+    logical = cc.LogicalScenario.read(folder / "scenario" / "x_intersection.xosc", X / "x_intersection.space.xosc")
+    assert [parameter.unit for parameter in logical.space.parameters] == ["m", "s", "m/s"]
+    continuous = replace(logical, space=logical.space.as_continuous())
+    cc.explore(
+        continuous, path, ego="Ego", other="Pedestrian", metrics=["wttc"], optimizer="sobol", budget=64, critical=0.2
+    )
+    cc.analyze(path)
+    cc.reduce(path, folder / "reduced", size=6)
+    return path
+
+
+def cells(page: str, row: str) -> list[str]:
+    """The cells of the first row of a table with this name."""
+    found = re.search(rf"<tr><th scope=\"row\">{row}(?:<br>.*?)?</th>(.*?)</tr>", page)
+    assert found, row
+    return [unescape(cell) for cell in re.findall(r"<td[^>]*>(.*?)</td>", found[1])]
+
+
+def test_values_are_on_steps_and_within_their_ranges(study):
+    with StudyFile.open(study) as opened:
+        parameters = opened.space.parameters
+        quantities = [find_settable_quantity(parameter, None) for parameter in parameters]
+        units = [quantity.unit or "?" for quantity in quantities]
+        for row in opened.finished_rows():
+            roundings = list(iter_roundings(parameters, quantities, row.values))
+            assert [rounding.distance for rounding in roundings] == sorted(rounding.distance for rounding in roundings)
+            for rounding in roundings:
+                for parameter, unit in zip(parameters, units, strict=True):
+                    value = float(rounding.values[parameter.name])
+                    assert parameter.low - 1e-9 <= value <= parameter.high + 1e-9
+                    on_step = value * {"m": 10.0, "s": 10.0, "m/s": 3.6, "?": np.nan}[unit]
+                    assert np.isnan(on_step) or on_step == pytest.approx(round(on_step), abs=1e-6)
+
+
+def test_a_bound_that_is_on_no_step_is_not_passed():
+    parameter = Parameter("speed", 5.0, 12.1, unit="m/s")
+    (quantity,) = [find_settable_quantity(parameter, None)]
+    (only,) = iter_roundings([parameter], [quantity], {"speed": 12.1})
+    assert only.values["speed"] == pytest.approx(43 / 3.6)
+
+
+@pytest.mark.parametrize(
+    ("name", "unit", "low", "high", "expected"),
+    [
+        ("Ego_speed_kph", "", 10.0, 60.0, ("km/h", 1.0)),
+        ("v", "m/s", 0.0, 20.0, ("m/s", 1 / 3.6)),
+        ("lateral", "m/s", 0.8, 1.5, ("m/s", 0.1 / 3.6)),
+        ("gap", "m", 0.0, 20.0, ("m", 0.1)),
+        ("something", "", 0.0, 1.0, ("", None)),
+        ("mu", "1", 0.0, 1.0, ("1", None)),
+    ],
+)
+def test_what_a_parameter_measures(name, unit, low, high, expected):
+    quantity = find_settable_quantity(Parameter(name, low, high, unit=unit), None)
+    assert quantity.unit == expected[0]
+    assert quantity.step == (None if expected[1] is None else pytest.approx(expected[1]))
+    assert bool(quantity.note) == (expected[1] is None)
+
+
+def test_a_unit_is_found_where_the_scenario_uses_the_parameter():
+    scenario = ScenarioFile.read(X / "x_intersection.xosc")
+    assert find_settable_quantity(Parameter("p1_speed", 1.0, 9.0), scenario).unit == "m/s"
+
+
+def test_numbers_are_those_of_a_run_of_the_rounded_values(study, tmp_path):
+    page_path = write_test_cards(study, tmp_path / "cards.html", ids=[3])
+    page = page_path.read_text(encoding="utf-8")
+    settings = {name: cells(page, name) for name in ("ego_start", "pedestrian_wait", "p1_speed")}
+    numbers = {name: float(row[1].split()[0]) for name, row in settings.items()}
+    assert settings["p1_speed"][1].split()[1] == "km/h"
+    values = numbers | {"p1_speed": numbers["p1_speed"] / 3.6}
+    run = cc.simulate(study.parent / "scenario" / "x_intersection.xosc", values)
+    ego, other = run.entity_index("Ego"), run.entity_index("Pedestrian")
+
+    speed, speed_tolerance, _, position, heading, _ = cells(page, "Ego")
+    assert speed == f"{3.6 * run.speed[ego, 0]:.1f} km/h ({run.speed[ego, 0]:.2f} m/s)"
+    assert speed_tolerance == "+1.0 / −0 km/h"
+    assert position.replace("−", "-") == f"{run.x[ego, 0]:.1f}, {run.y[ego, 0]:.1f} m"
+    assert heading.replace("−", "-") == f"{np.degrees(run.heading[ego, 0]):.1f}°"
+
+    when = float(cells(page, "time of that")[1].split()[0])
+    instant = int(np.argmin(np.abs(run.time - when)))
+    for row, entity in (("speed of Ego", ego), ("speed of Pedestrian", other)):
+        assert cells(page, row)[1].startswith(f"{3.6 * run.speed[entity, instant]:.1f} km/h")
+    hit = run.first_collision("Ego", "Pedestrian")
+    assert cells(page, "contact")[1] == ("none" if hit is None else "with Pedestrian")
+    velocity = run.speed * np.exp(1j * run.heading)
+    relative = abs(velocity[ego, instant] - velocity[other, instant])
+    assert float(cells(page, "relative speed")[1].split()[0]) == pytest.approx(3.6 * relative, abs=0.06)
+
+
+def test_the_closest_approach_is_that_of_the_boxes(study):
+    with StudyFile.open(study) as opened:
+        for row in opened.finished_rows()[:20]:
+            recording = opened.recording(row.id)
+            meeting = find_meeting(recording, "Ego", ("Pedestrian",))
+            hits = [hit for hit in recording.collisions if set(hit.entities) == {"Ego", "Pedestrian"}]
+            assert meeting.collides == bool(hits)
+            if hits:
+                assert meeting.time == hits[0].time
+            else:
+                ends = recording.box_center("Ego") - recording.box_center("Pedestrian")
+                reach = np.hypot(recording.length, recording.width).max()
+                assert meeting.gap <= np.hypot(*ends.T).min()
+                assert meeting.gap >= np.hypot(*ends.T).min() - reach
+
+
+def test_a_rounding_that_keeps_the_outcome_is_preferred(study):
+    """Of all scenarios, none is said to end as before unless it does, and the nearest rounding is not left without need."""
+    with StudyFile.open(study) as opened:
+        scenario = find_explored_scenario(opened)
+        assert scenario is not None
+        parameters = opened.space.parameters
+        quantities = [find_settable_quantity(parameter, scenario) for parameter in parameters]
+        kept = changed = otherwise = 0
+        with RoundedRunner(opened, scenario) as runner:
+            for row in opened.finished_rows():
+                original = stored_run(opened, row.id, row.values)
+                roundings = list(iter_roundings(parameters, quantities, row.values))
+                chosen = runner.choose_rounding(original, roundings)
+                assert chosen.run is not None
+                again = cc.simulate(scenario, chosen.values)
+                collides = again.first_collision("Ego", "Pedestrian") is not None
+                assert collides == chosen.run.meeting.collides
+                assert chosen.keeps_outcome == chosen.run.ends_like(original)
+                kept += bool(chosen.keeps_outcome and chosen.is_nearest)
+                otherwise += bool(chosen.keeps_outcome and not chosen.is_nearest)
+                changed += not chosen.keeps_outcome
+                if chosen.is_nearest:
+                    assert chosen.values == roundings[0].values
+                else:
+                    assert chosen.values != roundings[0].values
+    assert kept > 40
+    assert kept + otherwise + changed == 64
+
+
+def test_a_changed_outcome_is_said(study, tmp_path, monkeypatch):
+    """With steps of 30 in each parameter hardly any scenario stays as it is."""
+    coarse = SettableQuantity("m", 30.0)
+    monkeypatch.setattr("cornercase.report.cards._test_cards.find_settable_quantity", lambda parameter, _: coarse)
+    with StudyFile.open(study) as opened:
+        ids = [row.id for row in opened.finished_rows()]
+    page = write_test_cards(study, tmp_path / "cards.html", ids=ids).read_text(encoding="utf-8")
+    assert "ROUNDING CHANGES THE OUTCOME: in the study" in page
+    assert 'class="verdict changed"' in page
+
+
+def test_what_starts_what_is_in_words_and_numbers_of_the_scenario():
+    scenario = ScenarioFile.read(EXAMPLES / "t_intersection" / "t_intersection.xosc")
+    values = {"ego_sync_s": 12.0, "c_start_time": 3.6, "c_routing_distance": 67.4}
+    movements = {movement.what.partition(" (“")[2]: movement for movement in list_movements(scenario, values)}
+    starts = movements["C starts”)"]
+    assert (starts.who, starts.when) == ("C", "3.60 s since the start")
+    synchronises = movements["C synchronises”)"]
+    assert synchronises.when == "3.60 s since the start and Ego has gone 67.4 m"
+    assert "s 12.0 m" in synchronises.what
+    assert movements["C goes on”)"].when == "“C synchronises” has ended"
+
+
+def test_tolerances_are_those_of_the_kind_of_target():
+    ego = find_tolerances("car", is_ego=True, crosses=None)
+    pedestrian = find_tolerances("pedestrian", is_ego=False, crosses=True)
+    assert ego is not None
+    assert pedestrian is not None
+    assert (ego.target, pedestrian.target, pedestrian.speed, pedestrian.lateral) == (
+        "VUT", "EPT", "± 0.2 km/h", "0 ± 0.05 m",
+    )  # fmt: skip
+    assert find_tolerances("train", is_ego=False, crosses=True) is None
+    assert find_tolerances("bus", is_ego=True, crosses=None) is None
+
+
+def test_cards_are_of_the_kept_scenarios_and_the_same_each_time(study, tmp_path):
+    first = cornercase("report", study, "--test-cards", "-o", tmp_path / "a.html")
+    assert first.returncode == 0, first.stderr
+    assert "The test cards are" in first.stdout
+    cornercase("report", study, "--test-cards", "-o", tmp_path / "b.html")
+    assert (tmp_path / "a.html").read_bytes() == (tmp_path / "b.html").read_bytes()
+    page = (tmp_path / "a.html").read_text(encoding="utf-8")
+    assert page.count('<section class="sheet"') == 6
+    assert "was run again and ends as the study" in page
+    assert "Euro NCAP" in page
+    assert "wttc ≤ 0.2 s" in page
+
+
+def test_without_the_scenario_file_nothing_is_run_and_it_is_said(study, tmp_path, monkeypatch):
+    alone = tmp_path / "elsewhere" / "study.db"
+    alone.parent.mkdir()
+    shutil.copy(study, alone)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr("cornercase.study._scenario_file.find_remembered_scenario", lambda fingerprint: None)
+    monkeypatch.chdir(alone.parent)
+    page = write_test_cards(alone, tmp_path / "cards.html", ids=[1]).read_text(encoding="utf-8")
+    assert "was not run again: the scenario file x_intersection.xosc was not found" in page
+    assert '<th scope="col">rounded</th>' not in page
+
+
+def test_a_program_that_a_study_names_is_not_started(study):
+    with StudyFile.open(study) as opened:
+        meta = opened.meta
+        assert reason_not_to_run(meta) == ""
+        own = replace(meta, settings={**meta.settings, "drivers": {"Ego": "exec:./driver"}})
+        assert "not started" in reason_not_to_run(own)
+        assert "carla" in reason_not_to_run(replace(meta, simulator="carla"))
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        (("--test-cards", "--ids", "9999"), "scenario 9999 was not run"),
+        (("--test-cards", "--ids", "x"), "give ids and ranges of ids"),
+        (("--ids", "3"), "add --test-cards"),
+        (("--test-cards", "--one-page"), "leave --one-page"),
+    ],
+)
+def test_bad_input_gets_a_sentence(study, tmp_path, options, expected):
+    told = cornercase("report", study, *options, "-o", tmp_path / "cards.html")
+    assert told.returncode == 2
+    assert expected in told.stderr
+    assert "Traceback" not in told.stderr
+
+
+def test_a_study_that_was_not_reduced_is_named(study, tmp_path):
+    fresh = tmp_path / "fresh.db"
+    cc.explore(
+        X / "x_intersection.xosc", fresh, ego="Ego", other="Pedestrian", metrics=["wttc"], ranges=["ego_start=40:41"],
+        budget=1,
+    )  # fmt: skip
+    told = cornercase("report", fresh, "--test-cards", "-o", tmp_path / "cards.html")
+    assert told.returncode == 2
+    assert "cornercase reduce" in told.stderr
+    named = cornercase("report", fresh, "--test-cards", "--ids", "1", "-o", tmp_path / "cards.html")
+    assert named.returncode == 0, named.stderr
