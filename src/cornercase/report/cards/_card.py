@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -28,13 +28,22 @@ _MAX_PARAMETERS: Final = 7
 _MAX_PARTIES: Final = 4
 _MAX_TRIGGERS: Final = 6
 _MAX_SCORES: Final = 3
-_MAX_TRIGGER_TEXT: Final = 170
-_MAX_NAME: Final = 30
+_MAX_TRIGGER_TEXT: Final = 160
+_MAX_NAME: Final = 26
 _COURSE_MM: Final = 128.0
 _MEETING_MM: Final = 52.0
-# Heights of the drawings, and of the tables above them up to which there is room for the largest, in mm.
-_DRAWING_HEIGHTS: Final = (30.0, 52.0)
-_TABLES_HEIGHT: Final = 62.0
+# Heights in mm: of the drawings, of all that varies from card to card, of a row of each table.
+_DRAWING_HEIGHTS: Final = (30.0, 62.0)
+_ROOM: Final = 128.0
+_NOTE_HEIGHT: Final = 3.6
+_PARAMETER_HEIGHT: Final = 4.8
+_PARTY_HEIGHT: Final = 11.4
+# Characters on a line of each column of the table of triggers.
+_CHARACTERS: Final = (13, 66, 40)
+# Characters of a line, and of one of the conditions; lines of notes and conditions that a card usually has.
+_LINE: Final = 115
+_ACCEPTANCE_LINE: Final = 40
+_USUAL_LINES: Final = 4
 _NO_CELL: Final = "–"
 
 
@@ -64,18 +73,29 @@ def fill_card(
     poses = list_start_poses(recording, read_network(scenario, dict(run.values)))
     parameters, more_parameters = _parameter_rows(meta.space.parameters, quantities, source)
     parties, more_parties = _party_rows(poses, study, source)
-    triggers, trigger_note = _trigger_rows(scenario, run)
-    height = _drawing_height(parameters, parties, triggers)
+    rows, trigger_note = _trigger_rows(scenario, source.rounded.values)
+    fixed, verdict = _fixed_parameters(meta.space.parameters, run), _verdict(source)
+    further, accept = _further_tolerances(parties), _acceptance(study, meeting.other)
+    file = _clean(meta.files[source.scenario_id - 1] if meta.suite else meta.file_name, 40)
+    notes = (
+        fixed, more_parameters, more_parties, further, len(verdict["text"]) > _LINE, len(further) > _LINE - 20,
+        len(file) + len(study.path.name) > _LINE // 2,
+    )  # fmt: skip
+    n_lines = sum(map(bool, notes)) + sum(math.ceil(len(text) / _ACCEPTANCE_LINE) for text in accept)
+    triggers, height = _fit(parameters, parties, rows, n_lines - _USUAL_LINES)
+    if len(triggers) < len(rows):
+        trigger_note = f"And {len(rows) - len(triggers)} more, which the scenario file lists."
     return {
         "id": source.scenario_id,
-        "kept_as": _clean(f"{source.role}: {source.why}" if source.role else source.why, 170),
-        "verdict": _verdict(source),
+        "kept_as": _clean(f"Kept as {source.role}: {source.why}.", 170) if source.role else "",
+        "file": file,
+        "verdict": verdict,
         "parameters": parameters,
         "more_parameters": more_parameters,
-        "fixed": _fixed_parameters(meta.space.parameters, run),
+        "fixed": fixed,
         "parties": parties,
         "more_parties": more_parties,
-        "further_tolerances": _further_tolerances(parties),
+        "further_tolerances": further,
         "triggers": triggers,
         "trigger_note": trigger_note,
         "course": draw_course(recording, meta.ego, meeting, road, _COURSE_MM, height),
@@ -84,7 +104,7 @@ def fill_card(
         "at_meeting": "contact" if meeting.collides else "closest approach",
         "results": _result_rows(study, source),
         "has_rounded": source.rounded.run is not None,
-        "accept": _acceptance(study, meeting.other),
+        "accept": accept,
         "other": _clean(meeting.other),
         "drawn": "the rounded scenario" if source.rounded.run is not None else "the run in the study",
     }
@@ -156,14 +176,24 @@ def _format_plain(value: Value) -> str:
     return ", ".join(piece.strip().replace("\\", "/").rpartition("/")[2] for piece in value.split(","))
 
 
-def _drawing_height(
-    parameters: Sequence[Sequence[str]], parties: Sequence[object], triggers: Sequence[tuple[str, str, str]]
-) -> float:
-    """Return the height in mm that the tables leave to the drawings, from the lines that they may need."""
-    lines = [max(math.ceil(len(what) / 70), math.ceil(len(when) / 34)) for _, what, when in triggers]
-    tables = 4.6 * len(parameters) + 11.0 * len(parties) + sum(1.2 + 3.4 * count for count in lines)
+def _fit(
+    parameters: Sequence[object],
+    parties: Sequence[object],
+    triggers: Sequence[tuple[str, str, str]],
+    n_extra_lines: int,
+) -> tuple[list[tuple[str, str, str]], float]:
+    """Return as many triggers as there is room for, and the height in mm that is left to the drawings."""
     low, high = _DRAWING_HEIGHTS
-    return min(high, max(low, high - (tables - _TABLES_HEIGHT)))
+    room = _ROOM - _NOTE_HEIGHT * n_extra_lines - _PARAMETER_HEIGHT * len(parameters) - _PARTY_HEIGHT * len(parties)
+    kept = []
+    for row in triggers[:_MAX_TRIGGERS]:
+        n_lines = max(math.ceil(len(text) / count) for text, count in zip(row, _CHARACTERS, strict=True))
+        height = 1.0 + 3.5 * n_lines
+        if room - height < low:
+            break
+        room -= height
+        kept.append(row)
+    return kept, round(min(high, room), 1)
 
 
 def _parameter_tolerance(parameter: Parameter, quantity: SettableQuantity) -> str:
@@ -199,7 +229,7 @@ def _party_rows(poses: Sequence[StartPose], study: StudyFile, source: CardSource
         tolerances = find_tolerances(pose.object_type, is_ego=pose.name == meta.ego, crosses=crosses)
         rows.append(
             {
-                "name": _clean(pose.name),
+                "name": _clean(pose.name, 16),
                 "kind": pose.object_type + (f" ({tolerances.target})" if tolerances else ""),
                 "speed": f"{pose.speed * 3.6:.1f} km/h ({pose.speed:.2f} m/s)",
                 "place": _format_road_position(pose),
@@ -232,20 +262,18 @@ def _format_fixed(value: float, digits: int) -> str:
     return (text.lstrip("-") if float(text) == 0.0 else text).replace("-", "−")
 
 
-def _trigger_rows(scenario: ScenarioFile | None, run: CardRun) -> tuple[list[tuple[str, str, str]], str]:
+def _trigger_rows(scenario: ScenarioFile | None, values: Mapping[str, Value]) -> tuple[list[tuple[str, str, str]], str]:
     if scenario is None:
         return [], "Not known: the scenario file was not found, or there is none."
     try:
-        triggers = list_movements(scenario, run.values)
+        triggers = list_movements(scenario, values)
     except InputError as error:
         return [], _clean(f"Not known: {error}", _MAX_TRIGGER_TEXT)
     rows = [
-        (_clean(item.who), _clean(item.what, _MAX_TRIGGER_TEXT), _clean(item.when, _MAX_TRIGGER_TEXT))
+        (_clean(item.who, 24), _clean(item.what, _MAX_TRIGGER_TEXT), _clean(item.when, _MAX_TRIGGER_TEXT))
         for item in triggers
     ]
-    left_out = len(rows) - _MAX_TRIGGERS
-    note = f"And {left_out} more, which the scenario file lists." if left_out > 0 else ""
-    return rows[:_MAX_TRIGGERS], note or ("" if rows else "No event of the storyboard moves anybody.")
+    return rows, "" if rows else "No event of the storyboard moves anybody."
 
 
 def _result_rows(study: StudyFile, source: CardSource) -> list[tuple[str, str, str]]:
@@ -258,7 +286,7 @@ def _result_rows(study: StudyFile, source: CardSource) -> list[tuple[str, str, s
 def _results(study: StudyFile, run: CardRun) -> dict[str, str]:
     meeting, meta = run.meeting, study.meta
     rows = {"contact": f"with {_clean(meeting.other, 20)}" if meeting.collides else "none"}
-    rows["smallest gap"] = "0 m" if meeting.collides else f"{meeting.gap:.2f} m to {_clean(meeting.other, 20)}"
+    rows["smallest gap"] = "0 m" if meeting.collides else f"{meeting.gap:.2f} m to {_clean(meeting.other, 12)}"
     rows["time of that"] = f"{meeting.time:.2f} s"
     rows[f"speed of {_clean(meta.ego, 16)}"] = format_speed(meeting.speed)
     rows[f"speed of {_clean(meeting.other, 16)}"] = format_speed(meeting.other_speed)
@@ -272,7 +300,7 @@ def _results(study: StudyFile, run: CardRun) -> dict[str, str]:
         rows["impact point x, y"] = ", ".join(_format_fixed(value, 2) for value in meeting.point) + " m"
     for metric in study.metrics()[:_MAX_SCORES]:
         if metric.name in run.scores and math.isfinite(run.scores[metric.name]):
-            rows[f"score {_clean(metric.name, 26)}"] = append_unit(f"{run.scores[metric.name]:.3g}", metric.unit)
+            rows[_clean(metric.name)] = append_unit(f"{run.scores[metric.name]:.3g}", metric.unit)
     return rows
 
 

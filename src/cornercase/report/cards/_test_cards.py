@@ -138,7 +138,7 @@ def _render_cards(study: StudyFile, ids: Sequence[int], given: Path | str | None
                 original,
                 choose(original),
                 "" if entry is None else str(entry.role),
-                "named by a user" if entry is None else entry.why,
+                "" if entry is None else entry.why,
             )
             cards.append(fill_card(study, source, scenario, quantities))
     return render_template(
@@ -146,7 +146,7 @@ def _render_cards(study: StudyFile, ids: Sequence[int], given: Path | str | None
         ("test-cards.css",),
         (),
         policy=_POLICY,
-        title=shorten(escape_control_characters(meta.title), 60),
+        title=shorten(escape_control_characters(meta.title), 40),
         cards=cards,
         tolerance_source=SOURCE,
         **_about(study),
@@ -192,8 +192,7 @@ def _about(study: StudyFile) -> dict[str, Any]:
     driver = meta.ego_driver
     function = f"{meta.ego}, driven by {format_driver(driver)}" if driver else meta.ego
     return {
-        "file_name": shorten(escape_control_characters(study.path.name), 60),
-        "scenario_name": shorten(escape_control_characters(meta.file_name), 60),
+        "file_name": shorten(escape_control_characters(study.path.name), 40),
         "function": shorten(escape_control_characters(function), 80),
         "simulator": shorten(escape_control_characters(meta.simulator), 40),
         "fingerprint": meta.fingerprint[:16],
