@@ -36,7 +36,7 @@ def test_each_card_prints_on_a_page(tab, studies, tmp_path, name):
 
 def test_a_card_that_is_full_is_still_a_page(tab, studies, tmp_path, monkeypatch):
     """Everything that a card may hold at once: as many rows as there may be, and long texts in each."""
-    from cornercase.report.cards import _card
+    from cornercase.report.cards import _card, _sketch
 
     def fill(study, source, scenario, quantities):
         card = original(study, source, scenario, quantities)
@@ -50,7 +50,7 @@ def test_a_card_that_is_full_is_still_a_page(tab, studies, tmp_path, monkeypatch
         return card | {
             "triggers": shown, "parameters": parameters, "parties": parties, "more_parties": 3,
             "more_parameters": 3, "trigger_note": "And 3 more, which the scenario file lists.",
-            "course": _card.draw_course(*drawing, 128.0, height), "meeting": _card.draw_meeting(*drawing, 52.0, height),
+            "course": _sketch.draw_course(*drawing, 128.0, height), "meeting": _sketch.draw_meeting(*drawing, 52.0, height),
             "results": (card["results"] * 2)[:11],
         }  # fmt: skip
 

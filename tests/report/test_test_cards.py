@@ -32,7 +32,7 @@ X = EXAMPLES / "x_intersection"
 @pytest.fixture(scope="module")
 def study(tmp_path_factory) -> Path:
     """The X-intersection with values between the steps, reduced."""
-    folder = tmp_path_factory.mktemp("cards")
+    folder: Path = tmp_path_factory.mktemp("cards")
     shutil.copytree(X, folder / "scenario")
     path = folder / "study.db"
     logical = cc.LogicalScenario.read(folder / "scenario" / "x_intersection.xosc", X / "x_intersection.space.xosc")

@@ -150,8 +150,8 @@ def _parameter_rows(
         rows.append(
             [
                 _clean(parameter.name),
-                _clean(append_unit(_format_plain(before), quantity.unit), 40),
-                _clean(_format_setting(after, quantity), 44),
+                _clean(append_unit(_format_plain(before), quantity.unit), 27),
+                _clean(_format_setting(after, quantity), 27),
                 _format_change(before, after, quantity),
                 _parameter_tolerance(parameter, quantity),
             ]
@@ -185,15 +185,15 @@ def _fit(
     """Return as many triggers as there is room for, and the height in mm that is left to the drawings."""
     low, high = _DRAWING_HEIGHTS
     room = _ROOM - _NOTE_HEIGHT * n_extra_lines - _PARAMETER_HEIGHT * len(parameters) - _PARTY_HEIGHT * len(parties)
-    kept = []
+    shown = []
     for row in triggers[:_MAX_TRIGGERS]:
         n_lines = max(math.ceil(len(text) / count) for text, count in zip(row, _CHARACTERS, strict=True))
         height = 1.0 + 3.5 * n_lines
         if room - height < low:
             break
         room -= height
-        kept.append(row)
-    return kept, round(min(high, room), 1)
+        shown.append(row)
+    return shown, round(min(high, room), 1)
 
 
 def _parameter_tolerance(parameter: Parameter, quantity: SettableQuantity) -> str:

@@ -164,7 +164,7 @@ def _draw_boxes(
 def _corners(recording: Recording, name: str) -> FloatArray:
     """Return the corners of a box in m, shape (T, 4, 2), NaN where it does not exist."""
     k, center = recording.entity_index(name), recording.box_center(name)
-    return box_corners(*center.T, recording.heading[k], recording.length[k], recording.width[k])
+    return box_corners(center[:, 0], center[:, 1], recording.heading[k], recording.length[k], recording.width[k])
 
 
 def _first_instant(corners: FloatArray) -> int | None:
