@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
+from benchmarks.replication.causes import find_causes
 from benchmarks.replication.family import PAPER_GAMMA, Reading
 from scipy.spatial import cKDTree
 
@@ -18,7 +19,7 @@ from cornercase.clustering._series import read_series
 from cornercase.dtw import distance_matrix
 from cornercase.evidence._sensitivity import estimate_sensitivity
 from cornercase.metrics._ending import describe_outcome
-from cornercase.metrics._outcome import Fault
+from cornercase.recordings import Collision, Recording
 from cornercase.study import StudyFile
 from cornercase.study._objective import Objective
 
@@ -47,15 +48,19 @@ class Observed:
     total: Mapping[str, float]
     ends: npt.NDArray[np.str_]
     crash: Bools
-    causes: Mapping[str, npt.NDArray[np.str_]]
+    recordings: Sequence[Recording]
+    collisions: Sequence[Collision | None]
+    ego: str
+    road_file: Path
     series: Mapping[str, list[Floats]]
     stride: Mapping[str, int]
+    causes: dict[str, npt.NDArray[np.str_]] = field(default_factory=dict)
     matrices: dict[str, Floats] = field(default_factory=dict)
     clusterings: dict[tuple[str, bool], Clustering] = field(default_factory=dict)
 
     @classmethod
-    def read(cls, path: Path, seed: int, aspects: tuple[str, ...]) -> Observed:
-        """Read what happened from a study."""
+    def read(cls, path: Path, seed: int, aspects: tuple[str, ...], road_file: Path) -> Observed:
+        """Read what happened from a study; accidents are judged by the road file."""
         with StudyFile.open(path) as study:
             rows, meta = study.finished_rows(), study.meta
             points = np.array([row.point for row in rows])
@@ -63,7 +68,6 @@ class Observed:
             searched = Objective.from_study_meta(meta).minimized(np.stack(list(scores.values()), axis=1))
             influence = estimate_sensitivity(study.space, points, searched, seed)
             recordings = [study.recording(row.id) for row in rows]
-            outcomes = [study.digest(row.id).outcomes[0] for row in rows]
             series, strides = {}, {}
             for name in aspects:
                 if name in meta.metrics:
@@ -81,15 +85,12 @@ class Observed:
                 total=dict(zip(influence.names, map(float, influence.total), strict=True)),
                 ends=np.array([describe_outcome(one, meta.ego, meta.others[0]) for one in recordings]),
                 crash=np.array([any(meta.ego in hit.entities for hit in one.collisions) for one in recordings]),
-                causes={
-                    "fault": np.array([one.fault.who if one.fault else "" for one in outcomes]),
-                    "contact": np.array(
-                        [
-                            "" if not one.fault else "other" if one.fault.sides[1] == "front" else "ego"
-                            for one in outcomes
-                        ]
-                    ),
-                },
+                recordings=recordings,
+                collisions=[
+                    next((hit for hit in one.collisions if meta.ego in hit.entities), None) for one in recordings
+                ],
+                ego=meta.ego,
+                road_file=road_file,
                 series=series,
                 stride=strides,
             )
@@ -116,6 +117,14 @@ class Observed:
                 )
         return self.clusterings[key]
 
+    def caused(self, rule: str, road_file: Path | None = None) -> npt.NDArray[np.str_]:
+        """Who causes each accident by a rule, by default with the scenario's road file."""
+        key = f"{rule} {road_file or ''}"
+        if key not in self.causes:
+            found = find_causes(self.recordings, self.collisions, self.ego, rule, road_file or self.road_file)
+            self.causes[key] = np.array(found)
+        return self.causes[key]
+
     def ended(self, text: str) -> Bools:
         """Scenarios that ended so."""
         return np.asarray(self.ends == text)
@@ -130,8 +139,3 @@ class Observed:
         start = time.process_time()
         distance_matrix(self.series[aspect][:count], n_jobs=1)
         return time.process_time() - start
-
-
-def _who_ran_into(fault: Fault | None) -> str:
-    """Whoever is hit elsewhere than at its front was there already."""
-    return "" if fault is None else "other" if fault.sides[1] == "front" else "ego"

@@ -13,6 +13,7 @@ from functools import partial
 from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 from benchmarks.replication.family import Reading
 from benchmarks.replication.observed import Bools, Floats, Labels, Observed
 from scipy.spatial import Delaunay
@@ -134,12 +135,15 @@ def where_they_end(t: Observed, reading: Reading) -> tuple[Figures, bool]:
 
 
 def in_order(t: Observed, reading: Reading) -> tuple[Figures, bool]:
+    return order_of_causes(t, t.caused(reading.cause))
+
+
+def order_of_causes(t: Observed, cause: npt.NDArray[np.str_]) -> tuple[Figures, bool]:
     """How often, of an accident of the ego and one of C, that of the ego is nearer to where C is first.
 
     Nearer means the distance to the nearest scenario with C first, seen from the nearest one with the ego first. The
     share of all pairs is the area under the curve.
     """
-    cause = t.causes[reading.cause]
     rows = {"ego": cause == "ego", "C": cause == "other"}
     figures = {f"caused by {who}": float(those.sum()) for who, those in rows.items()}
     first, last = (t.points[t.ended(end)] for end in ("C first", "Ego first"))

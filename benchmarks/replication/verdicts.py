@@ -5,16 +5,18 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from benchmarks.replication.causes import rules_state
 from benchmarks.replication.family import DEFAULTS, READINGS, RUNS, Runs
 from benchmarks.replication.observed import ASPECTS_OF, Observed
 from benchmarks.replication.statements import STATEMENTS, Statement
 
+from cornercase.exploration._config import ExplorationConfig
 from cornercase.exploration._explore import explore_config
 
 Cell = dict[str, Any]
@@ -28,6 +30,8 @@ NONE: Final = "for none"
 ENOUGH: Final = 0.8
 BEGIN, END = "<!-- statements: begin -->", "<!-- statements: end -->"
 _SOURCES: Final = ("observed.py", "statements.py")
+# Statements whose answers depend on the fault rules.
+_JUDGED: Final = "2.4"
 
 
 def run_family(
@@ -55,20 +59,34 @@ def _cells(
     """Figures and answer of each statement and reading, of one study."""
     path = folder / f"{runs.name}-{ego or 'file'}-{seed}.db"
     known = path.with_suffix(".json")
-    state = _state(runs)
+    config = runs.config(ego, seed, budget, folder)
+    roads = road_file(config)
+    state, judged = _state(runs), rules_state(roads)
     stored = json.loads(known.read_text()) if known.exists() else {}
     cells: dict[str, Cell] = stored["cells"] if stored.get("state") == state else {}
+    if stored.get("judged") != judged:
+        cells = {key: cell for key, cell in cells.items() if not key.startswith(_JUDGED)}
     keys = [(one, reading) for reading in READINGS if reading.name in runs.readings for one in asked]
     if not all(f"{one.number}/{reading.name}" in cells for one, reading in keys):
-        explore_config(runs.config(ego, seed, budget, folder), path, progress=progress)
-        observed = Observed.read(path, seed, ASPECTS_OF[runs.scenario])
+        explore_config(config, path, progress=progress)
+        observed = Observed.read(path, seed, ASPECTS_OF[runs.scenario], roads)
         for one, reading in keys:
+            if f"{one.number}/{reading.name}" in cells:
+                continue
             figures, holds = one.measure(observed, reading)
             cells[f"{one.number}/{reading.name}"] = {"figures": figures, "holds": bool(holds)}
-        known.write_text(json.dumps({"state": state, "cells": cells}))
+        known.write_text(json.dumps({"state": state, "judged": judged, "cells": cells}))
         if progress:
             print(f"{path.stem}: {sum(cell['holds'] for cell in cells.values())} of {len(cells)} hold", flush=True)
     return {(one.number, reading.name): cells[f"{one.number}/{reading.name}"] for one, reading in keys}
+
+
+def road_file(config: ExplorationConfig) -> Path:
+    """Return the road file of a configuration's scenario."""
+    path = config.logical.scenario_file.road_path_for()
+    if path is None:
+        raise ValueError(f"{config.logical.path}: has no road file")
+    return path.resolve()
 
 
 def _state(runs: Runs) -> str:
@@ -119,12 +137,12 @@ def table(results: Results) -> Iterator[str]:
         answer, where = verdict(number, results)
         default = DEFAULTS[one.scenario]
         shown = [default, *([] if answer == CONFIRMED else _first_readings(where))]
-        cells = [f"{_name(key)}: {_told(results[(number, *key)])}" for key in shown]
+        cells = [f"{_name(key)}: {told(results[(number, *key)])}" for key in shown]
         if answer == NONE:
             others = [(key[1:], cells_) for key, cells_ in results.items() if key[0] == number and key[1:] != default]
             if others:
                 best, of_best = max(others, key=lambda item: sum(cell["holds"] for cell in item[1]))
-                cells.append(f"best of the others, {_name(best)}: {_told(of_best)}")
+                cells.append(f"best of the others, {_name(best)}: {told(of_best)}")
         ego = f"{one.ego} ego: " if one.ego else ""
         yield f"| {number} | {ego}{one.says} | {one.limit} | {answer} | {'; '.join(cells)} |"
 
@@ -138,7 +156,8 @@ def _first_readings(where: list[tuple[str, str]]) -> list[tuple[str, str]]:
     return list(first.values())
 
 
-def _told(cells: list[Cell]) -> str:
+def told(cells: list[Cell]) -> str:
+    """Median and range of each figure, and for how many seeds it holds."""
     return f"{describe(cells)}, {sum(cell['holds'] for cell in cells)} of {len(cells)}"
 
 
@@ -159,6 +178,13 @@ def reconstructions() -> Iterator[str]:
 
 def write_table(page: Path, results: Results) -> None:
     """Put the tables between the marks of a page."""
+    replace_between(page, BEGIN, END, (*reconstructions(), "", *table(results)))
+
+
+def replace_between(page: Path, begin: str, end: str, rows: Iterable[str]) -> None:
+    """Put rows between two marks of a page."""
     text = page.read_text("utf-8")
-    rows = "\n".join((BEGIN, "", *reconstructions(), "", *table(results), "", END))
-    page.write_text(re.sub(f"{re.escape(BEGIN)}.*{re.escape(END)}", lambda _: rows, text, flags=re.DOTALL), "utf-8")
+    if not (begin in text and end in text):
+        raise ValueError(f"{page}: has no marks {begin} and {end}")
+    lines = "\n".join((begin, "", *rows, "", end))
+    page.write_text(re.sub(f"{re.escape(begin)}.*{re.escape(end)}", lambda _: lines, text, flags=re.DOTALL), "utf-8")

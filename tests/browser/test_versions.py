@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from axe_playwright_python.sync_playwright import Axe  # type: ignore[import-untyped]
 
 import cornercase as cc
 from browser.studies import ENTITY, HOSTILE
@@ -69,7 +70,7 @@ def test_old_and_new_are_played_side_by_side(tab, versions, tmp_path):
     )
     assert boxes == pytest.approx([10.0, 4.0], abs=1e-3)
     # Scenarios that the verdict names are played where they are chosen there.
-    assert page.locator("#answer h2").inner_text() == "Worse"
+    assert page.locator("#answer h2").inner_text() == "Worse: nothing is better"
     assert page.locator("#answer .worse li").first.inner_text().startswith("1 new collision: 3")
     page.get_by_title("Play scenario 4").first.click()
     tab.settle()
@@ -83,7 +84,39 @@ def test_old_and_new_are_played_side_by_side(tab, versions, tmp_path):
     assert page.locator("[data-replay=beside]").count() == 1
 
 
+def test_each_link_plays_both_versions_at_the_instant_of_their_difference(tab, versions, tmp_path):
+    page = tab.open(page_of(versions, tmp_path / "page.html").as_uri())
+    titles = page.locator(".pane-title")
+    # Of a sentence at the top: the new version collides at 2 s.
+    page.locator("#answer .changes a").first.click()
+    tab.settle()
+    assert [titles.nth(k).inner_text().split(" of ")[0] for k in range(2)] == ["Old: scenario 3", "New: scenario 3"]
+    assert page.evaluate("() => cornercase.replay.clock.time") == pytest.approx(2.0)
+    assert "Shown is 2 s, when the new version collides" in page.locator("#difference").inner_text()
+    # Of a chart, and of a table.
+    page.locator("circle[data-old]").last.dispatch_event("click")
+    tab.settle()
+    assert titles.nth(0).inner_text().startswith("Old: scenario ")
+    page.locator("#scores-2 a.pair-link, .figures a.pair-link").first.click()
+    tab.settle()
+    chosen = page.locator(".figures a.pair-link").first.inner_text()
+    assert titles.nth(1).inner_text() == f"New: scenario {chosen} of {versions[1].name}"
+    # An address with a scenario opens that one.
+    again = tab.open(page_of(versions, tmp_path / "page.html").as_uri() + "#pair=4,4")
+    assert again.locator(".pane-title").nth(0).inner_text() == f"Old: scenario 4 of {versions[0].name}"
+
+
 def test_it_fits_a_phone(tab, versions, tmp_path):
     tab.page.set_viewport_size({"width": 380, "height": 800})
     page = tab.open(page_of(versions, tmp_path / "page.html").as_uri())
     assert page.evaluate("() => document.documentElement.scrollWidth") <= 380
+
+
+@pytest.mark.parametrize(("scheme", "width"), [("light", 1280), ("dark", 1280), ("light", 400)])
+def test_axe_finds_no_serious_violation(tab, versions, tmp_path, scheme, width):
+    page = tab.open(page_of(versions, tmp_path / "page.html").as_uri())
+    page.emulate_media(color_scheme=scheme)
+    page.set_viewport_size({"width": width, "height": 900})
+    found = Axe().run(page).response["violations"]
+    told = [(one["id"], one["nodes"][0]["html"][:200]) for one in found if one["impact"] in ("serious", "critical")]
+    assert told == []

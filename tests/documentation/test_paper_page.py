@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import importlib
+import json
 import re
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 ROOT = Path(__file__).parents[2]
@@ -95,7 +97,38 @@ def test_a_changed_reconstruction_of_a_scenario_differs_from_the_example_as_it_s
 
 @pytest.mark.slow
 def test_the_benchmark_runs_with_few_scenarios(replication, tmp_path, monkeypatch, capsys):
-    # With 60 scenarios none is in a critical cluster of scenario 1.
-    monkeypatch.setattr(sys, "argv", ["paper.py", "--quick", "--json", str(tmp_path / "rows.json")])
+    rows = tmp_path / "rows.json"
+    monkeypatch.setattr(sys, "argv", ["paper.py", "--quick", "--seeds", "1", "--json", str(rows)])
     importlib.import_module("benchmarks.paper").main()
-    assert "further statements confirmed" in capsys.readouterr().out
+    assert "answers are yes" in capsys.readouterr().out
+    assert {row["scenario"] for row in json.loads(rows.read_text())} == {
+        "X",
+        "T, cautious",
+        "T, normal",
+        "T, aggressive",
+    }
+
+
+def test_a_judgement_by_other_rules_of_fault_is_not_used_again(replication, tmp_path, monkeypatch):
+    verdicts, statements = replication["verdicts"], replication["statements"].STATEMENTS
+    (runs,) = (one for one in replication["family"].RUNS if one.name == "example-t")
+    asked = [statements["2.2n"], statements["2.4n"]]
+    monkeypatch.setattr(verdicts, "rules_state", lambda roads: "earlier rules")
+    verdicts._cells(runs, "normal", 0, tmp_path, asked, 20, progress=False)
+    (known,) = tmp_path.glob("*.json")
+    stored = json.loads(known.read_text())
+    for cell in stored["cells"].values():
+        cell["figures"] = {"stale": 1.0}
+    known.write_text(json.dumps(stored))
+    monkeypatch.setattr(verdicts, "rules_state", lambda roads: "rules of today")
+    cells = verdicts._cells(runs, "normal", 0, tmp_path, asked, 20, progress=False)
+    assert cells["2.2n", "automatic"]["figures"] == {"stale": 1.0}
+    assert cells["2.4n", "automatic"]["figures"] != {"stale": 1.0}
+
+
+def test_settings_are_the_centre_of_the_largest_region(monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT))
+    centre = importlib.import_module("benchmarks.replication.experiments").centre_of_the_largest_region
+    cells = np.zeros((9, 9), dtype=bool)
+    cells[0, 0] = cells[2:7, 3:8] = True
+    assert centre(cells) == (4, 5)

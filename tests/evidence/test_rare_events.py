@@ -136,13 +136,40 @@ def test_told_again_it_goes_on_as_if_nothing_had_happened():
     np.testing.assert_array_equal(first.importance_weights(rounds[-1]), second.importance_weights(rounds[-1]))
 
 
-def test_failed_scenarios_and_equal_scores_stop_nothing():
+def test_failed_scenarios_stop_nothing():
     sampling = ImportanceSampling(space_of(2), 1, 300, 0)
     while sampling.next_stage != "estimate":
         points = sampling.draw_round(100)
-        scores = np.where(points[:, 0] > 0.5, np.nan, 1.0)
+        scores = np.where(points[:, 0] > 0.5, np.nan, 1.0 + points[:, 1])
         sampling.record_round(points, scores, np.zeros((len(points), 1), dtype=np.bool_))
     assert len(sampling.draw_round(100)) == 100
+
+
+def test_scores_without_direction_are_drawn_from_the_distribution_itself():
+    sampling, met = ImportanceSampling(space_of(2), 1, 300, 0), []
+    for count in (60, 400, 400):
+        assert sampling.next_stage == "law"
+        points = sampling.draw_round(400)
+        assert len(points) == count
+        is_met = points[:, 0] < 0.1
+        met += is_met.tolist()
+        sampling.record_round(points, np.where(is_met, np.nan, 1.0), np.zeros((count, 1), dtype=np.bool_))
+    assert sampling.is_plain
+    assert 0.07 < np.mean(met) < 0.13
+    # A first guess gives a direction.
+    guess = TMixture.normal_around_zero(2)
+    guided = ImportanceSampling(space_of(2), 1, 300, 0, guess)
+    points = guided.draw_round(400)
+    guided.record_round(points, np.ones(len(points)), np.zeros((len(points), 1), dtype=np.bool_))
+    assert guided.next_stage == "learn"
+
+
+def test_ten_dimensions_are_told_too():
+    def score(points):
+        return -norm.ppf(1e-5) - ndtri(np.clip(points, 1e-16, 1 - 2e-16)).sum(1) / np.sqrt(10)
+
+    found = [estimated(space_of(10), score, 5000, seed)[0] for seed in range(4)]
+    assert all(abs(one.value / 1e-5 - 1.0) < 0.3 for one in found)
 
 
 def test_a_guess_from_a_study_leads_to_the_region():

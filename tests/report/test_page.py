@@ -477,7 +477,10 @@ def test_whether_it_collides_is_answered_with_the_hardest_first(x_intersection, 
     answer = next(one for one in page_answers(data) if one.name == "collisions")
     assert 0 < len(speeds) == data.summary.n_collisions
     assert answer.text.startswith(f"Yes: Ego collides with Pedestrian in {len(speeds)} of the 60 scenarios, hardest in")
-    order = [int(re.findall(r"Scenario (\d+): ", point)[0]) for point in answer.points]
+    # Near misses follow where there are few collisions.
+    hits = [point for point in answer.points if point.startswith("Scenario ")]
+    assert answer.points[: len(hits)] == tuple(hits)
+    order = [int(re.findall(r"Scenario (\d+): ", point)[0]) for point in hits]
     assert f"hardest in scenario {order[0]}, at a relative speed of {speeds[order[0]]:.2g} m/s." in answer.text
     assert order == sorted(speeds, key=lambda scenario: (-speeds[scenario], scenario))[:6]
 
@@ -498,3 +501,32 @@ def test_a_set_is_shown_with_the_coverage_of_the_analyses_that_there_are_now(x_i
             charts.append(read_report_data(opened).coverage_curves["wttc"])
     assert len(charts[0].to_selected) == len(charts[1].to_selected) == 30
     assert charts[0].reach[-1] != charts[1].reach[-1]
+
+
+def test_near_misses_are_named_where_nothing_collides_and_lead_to_their_replays(path, tmp_path):
+    with StudyFile.open(path, readonly=True) as study:
+        data = read_report_data(study)
+    assert not data.hardest_impacts
+    answers = {one.name: one for one in page_answers(data)}
+    nearest = min(data.approaches, key=lambda scenario: (data.approaches[scenario].gap, scenario))
+    assert answers["collisions"].points[0].startswith(f"Near miss in scenario {nearest}: ")
+    gaps = [data.approaches[int(re.findall(r"scenario (\d+)", one)[0])].gap for one in answers["collisions"].points]
+    assert gaps == sorted(gaps)
+    assert f"in scenario {nearest}: {data.approaches[nearest].gap:.2g} m from B" in answers["fix"].text
+    assert f"Near miss in <a href='#id={nearest}'>scenario {nearest}</a>: " in page_of(path, tmp_path)
+
+
+def test_where_the_dangerous_scenarios_lie_is_said_beside_the_influence(path):
+    with StudyFile.open(path, readonly=True) as study:
+        data = read_report_data(study)
+        critical = study.critical_mask()
+        values = {name: [float(row.values[name]) for row in study.finished_rows()] for name in study.space.names}
+    said = [one for answer in page_answers(data) for one in answer.points if one.startswith("All ")]
+    narrow = []
+    for parameter in data.parameters:
+        inside = [value for value, is_critical in zip(values[parameter.name], critical, strict=True) if is_critical]
+        if max(inside) - min(inside) <= 0.6 * (parameter.high - parameter.low):
+            narrow.append((parameter.name, f"from {min(inside):.3g} to {max(inside):.3g}", len(inside)))
+    assert len(said) == len(narrow)
+    for text, (name, place, count) in zip(said, narrow, strict=True):
+        assert text.startswith(f"All {count} critical scenarios have {name} {place}")

@@ -49,20 +49,22 @@ def test_it_holds_each_telling_scenario_with_both_versions(versions, tmp_path):
     found = cc.compare(*versions)
     page = page_of(versions, tmp_path / "page.html").read_text(encoding="utf-8")
     assert found.reason in page
-    assert f"<h2>{found.verdict.capitalize()}</h2>" in page
-    shown = re.findall(r"<b>(.*?)</b>: (.*?)</li>", page.partition('id="telling"')[0], re.DOTALL)
+    assert f"<h2>{found.verdict.capitalize()}: " in page
+    shown = re.findall(r"<b>(.*?)</b>: (.*?)</li>", page.partition('id="next"')[0], re.DOTALL)
     told = [(what, re.sub(r"<[^>]*>|\n", "", scenarios)) for what, scenarios in shown]
     assert told == [(one.change_text, one.format_scenario_ids(40)) for one in (*found.worse, *found.better)]
-    # Those that the page plays can be chosen where they are named.
-    numbers = {str(one.pair.ids[0]): str(2 * k + 1) for k, one in enumerate(found.examples)}
-    chosen = re.findall(r'data-old="(\d+)" data-new="\d+" title="Play scenario (\d+)"', page)
-    assert chosen
-    assert all(numbers[name] == old for old, name in chosen)
     contents = contents_of(page)
     count = len(found.examples)
     assert 1 <= count <= 5
-    assert contents["scenarios"]["id"] == list(range(1, 2 * count + 1))
-    assert sorted(contents["recordings"]) == list(range(1, 2 * count + 1))
+    # Each pair that differs can be played, and is a link wherever it is named.
+    differing = [one.ids for one in found.pairs if one.run != "the same"]
+    assert contents["scenarios"]["id"] == sorted(contents["recordings"]) == list(range(1, 2 * len(differing) + 1))
+    called = {int(number): name for number, name in contents["called"].items()}
+    linked = re.findall(r'href="#pair=(\d+),(\d+)" data-old="(\d+)" title="Play scenario (\d+)"', page)
+    named = {ids for one in (*found.worse, *found.better) for ids in one.ids}
+    assert named <= {(int(old), int(new)) for old, new, _, _ in linked} <= set(differing)
+    assert all(called[int(number)] == f"Old: scenario {old} of old.db" for old, _, number, _ in linked)
+    assert count <= len(differing)
     first = found.examples[0].pair
     assert contents["called"]["1"] == f"Old: scenario {first.ids[0]} of old.db"
     assert contents["called"]["2"] == f"New: scenario {first.ids[1]} of new.db"
@@ -72,7 +74,10 @@ def test_it_holds_each_telling_scenario_with_both_versions(versions, tmp_path):
     assert found.scores[0].moved == len(moved) > 0
     for one in moved:
         old, new = one.scores["wttc"]
-        assert f"<title>{one.ids[0]}, {one.ids[1]}: {old:.4g} → {new:.4g}</title>" in page
+        number = contents["called"]
+        mark = re.search(rf'data-old="(\d+)"[^>]*><title>{one.ids[0]}, {one.ids[1]}: {old:.4g} → {new:.4g}<', page)
+        assert mark is not None
+        assert number[mark[1]] == f"Old: scenario {one.ids[0]} of old.db"
     assert not re.search(r"(src|href)=.?(https?:|//)", page)
 
 
@@ -87,9 +92,50 @@ def test_versions_that_do_not_differ_have_a_page_too(versions, tmp_path):
     result = CliRunner().invoke(app, ["compare", str(old), str(old), "-o", str(tmp_path / "page.html")])
     assert result.exit_code == 0, result.output
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
-    assert "<h2>The same</h2>" in page
+    assert "<h2>The same: nothing is better or worse</h2>" in page
     assert "<p>All 30 scenarios that both ran have identical recordings</p>" in page
     assert 'id="replay"' not in page
+
+
+def test_it_says_how_both_were_made_and_what_differs(versions, tmp_path):
+    page = page_of(versions, tmp_path / "page.html").read_text(encoding="utf-8")
+    origins = page.partition('id="origins"')[2]
+    rows = re.findall(r"<tr( class=\"differs\")?><td>(.*?)</td><td>(.*?)</td><td>(.*?)</td>", origins)
+    facts = {name: (old, new, bool(differs)) for differs, name, old, new in rows}
+    assert facts["study"] == ("old.db", "new.db", False)
+    assert [name for name, (_, _, differs) in facts.items() if differs] == ["driver of Ego"]
+    assert facts["seed"] == ("1", "1", False)
+    assert facts["cornercase that made the study"] == (cc.__version__, cc.__version__, False)
+    commands = re.findall(r"<pre tabindex=\"0\"><code>(.*?)</code>", origins, re.DOTALL)
+    assert [one.split()[1] for one in commands] == ["explore", "explore", "compare"]
+    assert [one.split(" -o ")[1].split()[0] for one in commands] == ["old.db", "new.db", "compare.html"]
+    assert str(tmp_path) not in page
+
+
+def test_it_says_what_to_fix_and_what_was_not_tested(versions, tmp_path):
+    found = cc.compare(*versions)
+    page = page_of(versions, tmp_path / "page.html").read_text(encoding="utf-8")
+    steps = re.sub(r"<[^>]*>", "", page.partition('id="next"')[2].partition("</section>")[0])
+    fresh = [pair.ids[1] for pair in found.pairs if pair.collides == (False, True)]
+    if fresh:
+        assert any(f"A new collision ({ident}), with Pedestrian at " in steps for ident in fresh)
+    assert "cornercase replay new.db " in steps
+    assert "in a region of less than 9.5 % of the space" in steps
+    assert "Anything outside of the ranges of the parameters" in steps
+
+
+def test_the_most_important_replays_stay_where_all_are_too_many(versions, tmp_path, monkeypatch):
+    from cornercase.report.comparison import _replayed_pairs
+
+    monkeypatch.setattr(_replayed_pairs, "_MAX_CHARACTERS", 1)
+    page = page_of(versions, tmp_path / "page.html").read_text(encoding="utf-8")
+    found = cc.compare(*versions)
+    first = found.examples[0].pair.ids
+    assert set(re.findall(r'href="#pair=(\d+),(\d+)"', page)) == {tuple(map(str, first))}
+    n_differing = sum(pair.run != "the same" for pair in found.pairs)
+    assert f"{n_differing - 1} more scenarios differ, whose replays would make this page too large" in page
+    # An example without a replay is no button.
+    assert page.count('aria-pressed="false"><b>') == 1
 
 
 def test_it_is_not_written_over_a_study(versions):

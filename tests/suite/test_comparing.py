@@ -81,7 +81,7 @@ def ran(*arguments):
 
 def told(found) -> str:
     return "\n".join(
-        " ".join([one.title, *one.sentences, *one.header, *(cell for row in one.rows for cell in row)])
+        " ".join([one.title, *one.sentences, *one.header, *(cell for row in one.text_rows for cell in row)])
         for one in describe_comparison(found)
     )
 
@@ -489,4 +489,5 @@ def test_new_scenarios_join_the_kinds_of_the_old_study(versions):
     assert {one.cluster: one.old for one in kinds if one.old} == {
         int(one): int((labels == one).sum()) for one in np.unique(labels)
     }
-    assert "Kinds by interaction" not in told(itself)
+    assert "Kinds by interaction, among the pairs" not in told(itself)
+    assert "Kinds by interaction, by the names of 0.db, among the pairs: none grew or shrank." in told(itself)

@@ -88,7 +88,7 @@ def _print_section(section: ComparisonSection) -> None:
     out.print(section.title)
     for sentence in section.sentences:
         out.print(f"  {sentence}")
-    lines = [section.header, *section.rows] if section.rows else []
+    lines = [section.header, *section.text_rows] if section.rows else []
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     for line in lines:
         out.print("    " + "  ".join(map(str.ljust, line, widths)).rstrip())

@@ -13,11 +13,15 @@ from cornercase._common.typing import FloatArray
 _STEPS: Final = 30
 _COMPONENT_COUNTS: Final = (1, 2, 3, 4, 6, 8, 12)  # numbers of components that are tried
 _PATIENCE: Final = 2  # stop after this many in a row that are no better
-# Pseudo-points with isotropic scatter that are added to each component, so that few points do not make it degenerate.
-_PRIOR_POINTS: Final = 2.0
+# Pseudo-points with isotropic scatter that are added to each component, for each dimension. Without them, few points
+# make a component degenerate, and in many dimensions too narrow. Chosen on the half "choose" of benchmarks/rare.py.
+_PRIOR_POINTS_PER_DIMENSION: Final = 2.0
 # Their variance is that of the component, but at least this fraction of that of all components.
 _MIN_POOLED_FRACTION: Final = 0.1
-_DEGREES_OF_FREEDOM: Final = 3.0  # heavy tails keep the weights of single points small
+# Heavy tails keep the weights of single points small. Degrees of freedom are as many as dimensions, but at least this:
+# in many dimensions nearly all points of a normal distribution have the same distance from its mean, and heavier tails
+# would spread a proposal far beyond.
+_MIN_DEGREES_OF_FREEDOM: Final = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +79,7 @@ class TMixture:
     def _fit_components(cls, count: int, points: FloatArray, weights: FloatArray, rng: np.random.Generator) -> Self:
         """Fit a mixture of `count` components by expectation maximization, started by k-means++."""
         dimension = points.shape[1]
+        n_prior, freedom = _PRIOR_POINTS_PER_DIMENSION * dimension, max(_MIN_DEGREES_OF_FREEDOM, dimension)
         centers = [points[rng.choice(len(points), p=weights / weights.sum())]]
         for _ in range(count - 1):
             squares = np.min([((points - center) ** 2).sum(1) for center in centers], axis=0) * weights
@@ -92,12 +97,12 @@ class TMixture:
             own = np.trace(scatters, axis1=1, axis2=2) / (dimension * mass)
             pooled = float(np.trace(scatters, axis1=1, axis2=2).sum() / (dimension * mass.sum()))
             prior = (
-                _PRIOR_POINTS
+                n_prior
                 * np.maximum(np.maximum(own, _MIN_POOLED_FRACTION * pooled), 1e-12)[:, None, None]
                 * np.eye(dimension)
             )
-            roots = np.linalg.cholesky((scatters + prior) / (mass + _PRIOR_POINTS)[:, None, None])
-            mixture = cls(mass / mass.sum(), means, roots, np.full(count, _DEGREES_OF_FREEDOM))
+            roots = np.linalg.cholesky((scatters + prior) / (mass + n_prior)[:, None, None])
+            mixture = cls(mass / mass.sum(), means, roots, np.full(count, freedom))
             densities = mixture._component_log_densities(points, as_normal=True)
             updated = np.exp(densities - logsumexp(densities, axis=1, keepdims=True))
             if np.abs(updated - membership).max() < 1e-3:

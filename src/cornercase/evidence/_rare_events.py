@@ -25,6 +25,7 @@ _PER_COEFFICIENT, _EVENTS_FACTOR = 10, 10
 _WIDE_DEVIATIONS, _WIDE_FRACTION, _FINAL_WIDE_FRACTION = (1.5, 2.5), 0.25, 0.15
 # Fractions of the frozen proposal for the parameters' distribution and for the proposals of earlier rounds.
 _FINAL_PLAIN_FRACTION, _FINAL_EARLIER_FRACTION = 0.05, 0.2
+_MAX_VALUES_WITHOUT_DIRECTION: Final = 2
 _CANDIDATES: Final = 20_000
 _N_CONSTRAINT_DRAWS: Final = 20_000
 _MAX_TRIES: Final = 10_000
@@ -44,6 +45,9 @@ class ImportanceSampling:
     are independent, so the mean of the weights of the events is an unbiased estimate of their probability, whatever was
     learned before. The draws depend only on the arguments and the recorded results.
 
+    Scores that take no more than two values give no direction towards an event. If the first round has such scores, and
+    there is no first guess, all scenarios follow the distribution of the parameters (plain Monte Carlo).
+
     `n_events` is the number of kinds of event whose probability is estimated; each round is divided among them.
     `max_learning_scenarios` is the greatest number of scenarios before the proposal is frozen. `initial_proposal` is an
     optional first guess.
@@ -58,21 +62,26 @@ class ImportanceSampling:
         initial_proposal: TMixture | None = None,
     ) -> None:
         self._space, self._events, self._learn, self._seed = space, n_events, max_learning_scenarios, seed
-        self._plain = max(_MIN_ROUND_SIZE, round(_FIRST_ROUND_FRACTION * max_learning_scenarios))
-        self._size = max(_MIN_ROUND_SIZE, (max_learning_scenarios - self._plain) // _ROUNDS)
+        self._first_round_size = max(_MIN_ROUND_SIZE, round(_FIRST_ROUND_FRACTION * max_learning_scenarios))
+        self._size = max(_MIN_ROUND_SIZE, (max_learning_scenarios - self._first_round_size) // _ROUNDS)
         self._points, self._scores = np.zeros((0, space.dimension)), np.zeros(0)
         self._met = np.zeros((0, n_events), dtype=np.bool_)
         self._plain_distribution = TMixture.normal_around_zero(space.dimension)
         self._wide = [TMixture.normal_around_zero(space.dimension, deviation) for deviation in _WIDE_DEVIATIONS]
         self._earlier = [] if initial_proposal is None else [initial_proposal]
         self._proposal, self._drawn = self._plain_distribution, list[tuple[int, TMixture]]()
-        self._rounds, self._ready, self._asked, self._frozen = 0, 0, 0, False
+        self._rounds, self._ready, self._frozen, self._is_plain = 0, 0, False, False
         self._factor: tuple[float, float] | None = None
 
     @property
     def next_stage(self) -> str:
         """Purpose of the next round: ``"law"`` (draw from the distribution itself), ``"learn"`` or ``"estimate"``."""
-        return "law" if self._rounds == 0 else "estimate" if self._frozen else "learn"
+        return "law" if self._rounds == 0 or self._is_plain else "estimate" if self._frozen else "learn"
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether all scenarios follow the distribution of the parameters, because scores give no direction."""
+        return self._is_plain
 
     def draw_round(self, max_count: int) -> FloatArray:
         """Draw a round of at most `max_count` scenarios within the constraints, (n, d) in the unit cube.
@@ -82,7 +91,9 @@ class ImportanceSampling:
         InputError
             Hardly any scenario fulfils the constraints.
         """
-        count = max_count if self._frozen else min(max_count, self._size if self._rounds else self._plain)
+        count = max_count
+        if not (self._frozen or self._is_plain):
+            count = min(max_count, self._size if self._rounds else self._first_round_size)
         rng = np.random.default_rng((self._seed, 0, self._rounds))
         admitted = np.zeros((0, self._space.dimension))
         for _ in range(_MAX_TRIES):
@@ -98,7 +109,9 @@ class ImportanceSampling:
         `scores` (n,) are lower nearer to the events, and NaN for a failed scenario. `occurred` (n, events) says which
         events occurred.
         """
-        if not self._frozen:
+        if self._rounds == 0 and not self._earlier:
+            self._is_plain = len(np.unique(scores[np.isfinite(scores)])) <= _MAX_VALUES_WITHOUT_DIRECTION
+        if not (self._frozen or self._is_plain):
             self._drawn.append((len(points), self._proposal))
             self._points = np.concatenate([self._points, _to_standard_normal(points)])
             self._scores = np.concatenate([self._scores, scores])

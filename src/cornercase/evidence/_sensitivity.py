@@ -13,6 +13,7 @@ from cornercase._common.text.notebook_html import render_html_table
 from cornercase._common.typing import FloatArray
 from cornercase.evidence._score_surrogate import MIN_PREDICTED, ScoreSurrogate, fit_surrogate
 from cornercase.evidence.gp._blas import multiply_lower_triangular
+from cornercase.evidence.gp._kernel import evenly_spaced_indices
 from cornercase.evidence.gp._process import GaussianProcess, encode_points
 from cornercase.scenario import ParameterSpace
 
@@ -23,7 +24,8 @@ if TYPE_CHECKING:
 _SAMPLES: Final = 4096
 # Points at which the process is drawn for the intervals, and number of draws.
 _N_POINTS, _N_DRAWS = 2048, 200
-_N_TREES, _TREE_SAMPLES = 100, 1024
+# Trees, greatest number of scenarios that they use, and samples for their indices.
+_N_TREES, _MAX_TREE_SCENARIOS, _TREE_SAMPLES = 100, 2000, 1024
 _INTERVAL: Final = (0.05, 0.95)
 LITTLE_INFLUENCE: Final = 0.05
 """Total index below which a parameter has little influence."""
@@ -160,13 +162,14 @@ def _sobol_indices(
 
 
 def _fit_trees(surrogate: ScoreSurrogate, seed: int) -> ExtraTreesRegressor:
-    """Fit extremely randomised trees to the scores that the process was fitted to.
+    """Fit extremely randomised trees to the scores that the process was fitted to, or to 2,000 of very many.
 
     Source: P. Geurts, D. Ernst, L. Wehenkel, "Extremely randomized trees", Machine Learning 63 (2006).
     """
     from sklearn.ensemble import ExtraTreesRegressor
 
-    return ExtraTreesRegressor(_N_TREES, random_state=seed).fit(surrogate.points, surrogate.values)
+    subset = evenly_spaced_indices(len(surrogate.values), _MAX_TREE_SCENARIOS)
+    return ExtraTreesRegressor(_N_TREES, random_state=seed).fit(surrogate.points[subset], surrogate.values[subset])
 
 
 def _index_deviations(space: ParameterSpace, process: GaussianProcess, seed: int) -> tuple[FloatArray, FloatArray]:

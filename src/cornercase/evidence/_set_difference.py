@@ -59,13 +59,18 @@ class SetDifference:
         fraction.
         """
         old_draws, new_draws, both_draws = old.draw_overlap_with(new)
-        change = _difference_of_draws(old_draws, new_draws)
+        changes = _differences_of_draws(old_draws, new_draws)
+        change = Estimate.from_draws(changes)
         middles: list[tuple[Estimate, Estimate, Estimate] | None] = []
         for before, after in zip(old.draw_parameter_means().T, new.draw_parameter_means().T, strict=True):
             before, after = before[np.isfinite(before)], after[np.isfinite(after)]
             if len(before) and len(after):
                 middles.append(
-                    (Estimate.from_draws(before), Estimate.from_draws(after), _difference_of_draws(before, after))
+                    (
+                        Estimate.from_draws(before),
+                        Estimate.from_draws(after),
+                        Estimate.from_draws(_differences_of_draws(before, after)),
+                    )
                 )
             else:
                 middles.append(None)
@@ -76,20 +81,19 @@ class SetDifference:
             _estimate_with_lower_bound(new_draws - both_draws, change.low),
             _estimate_with_lower_bound(old_draws - both_draws, -change.high),
             tuple(middles),
-            _tail_probability(old_draws, new_draws),
+            _tail_probability(changes, len(old_draws)),
         )
 
 
-def _difference_of_draws(before: FloatArray, after: FloatArray) -> Estimate:
-    """Estimate of the difference `after - before`, from all pairs of independent draws."""
-    return Estimate.from_draws((after[:, None] - before).ravel())
+def _differences_of_draws(before: FloatArray, after: FloatArray) -> FloatArray:
+    """Differences `after - before` of all pairs of independent draws."""
+    return (after[:, None] - before).ravel()
 
 
-def _tail_probability(before: FloatArray, after: FloatArray) -> float:
-    """Two-sided tail probability of no change, from all pairs of independent draws."""
-    change = after[:, None] - before
-    tail = min(float((change <= 0.0).mean()), float((change >= 0.0).mean()))
-    return min(2.0 * max(tail, 0.5 / len(before)), 1.0)
+def _tail_probability(changes: FloatArray, n_draws: int) -> float:
+    """Two-sided tail probability of no change; the pairs in `changes` come from `n_draws` draws of each set."""
+    tail = min(float((changes <= 0.0).mean()), float((changes >= 0.0).mean()))
+    return min(2.0 * max(tail, 0.5 / n_draws), 1.0)
 
 
 def _estimate_with_lower_bound(draws: FloatArray, low: float) -> Estimate:

@@ -228,7 +228,8 @@ class ProbabilityEstimator:
         """Create the result from the scenarios so far."""
         _, law = self._outcomes_of_stages("whole" if self._is_exhaustive else "law")
         _, all_outcomes = self._outcomes_of_stages("law", "learn", "estimate", "whole")
-        _, learned = self._outcomes_of_stages("law", "learn")
+        # Plain draws count for the estimate, even those of the first round.
+        _, learned = self._outcomes_of_stages(*(() if self._sampling.is_plain else ("law", "learn")))
         _, uncounted = self._outcomes_of_stages("learn")
         n_counting = len(all_outcomes.scores) - len(uncounted.scores)
         critical = self._estimate_probability(lambda outcomes: outcomes.is_critical)
@@ -248,6 +249,8 @@ class ProbabilityEstimator:
                 int(uncounted.has_collision.sum()),
             ),
         ]  # fmt: skip
+        if self._sampling.is_plain:
+            warnings.insert(0, _NO_DIRECTION)
         if note := _describe_uniform(self._study.meta.space):
             warnings.insert(0, note)
         if failed := int(all_outcomes.is_failed.sum()):
@@ -271,6 +274,12 @@ class ProbabilityEstimator:
             warnings=tuple(warnings),
             interrupted=interrupted,
         )
+
+
+_NO_DIRECTION: Final = (
+    "The scores take at most two values and do not show where critical scenarios are, so all scenarios were drawn from"
+    " the distributions themselves (plain Monte Carlo). A metric that varies tells more with as many."
+)
 
 
 def _describe_uniform(space: ParameterSpace) -> str:

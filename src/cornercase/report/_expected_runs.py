@@ -14,6 +14,7 @@ from cornercase._common.io.files import MAX_FILE_SIZE
 from cornercase._common.text.sanitize import quote_name
 from cornercase.drivers._description import format_driver
 from cornercase.reduction._set_folder import MANIFEST
+from cornercase.report._suite_gaps import describe_suite_gaps
 from cornercase.report.encode._page_recordings import encode_recordings
 from cornercase.scenario import Value
 from cornercase.scenario._locate import find_files_below
@@ -31,11 +32,13 @@ class ExpectedRuns:
 
     `recordings` has encoded recordings by the negative of the id of the scenario in the run, since ids in both studies
     overlap; `runs` has what the page calls each. `missing` says why there are none; empty if none are to be expected.
+    `gaps` are sentences on what the run did not test.
     """
 
     recordings: Mapping[int, str] = field(default_factory=dict)
     runs: Mapping[int, Mapping[str, str]] = field(default_factory=dict)
     missing: str = ""
+    gaps: tuple[str, ...] = ()
 
     def to_payload(self) -> dict[str, Any]:
         """Return what the page needs, except the recordings."""
@@ -62,7 +65,11 @@ def read_expected_runs(study: StudyFile, against: Path | None = None) -> Expecte
         if against is None:
             return ExpectedRuns(
                 missing=f"The expected runs are not shown beside these: {why}. Name the study that the suite was made"
-                f" from: cornercase report {quote_name(study.path.name)} --against STUDY.db"
+                f" from: cornercase report {quote_name(study.path.name)} --against STUDY.db",
+                gaps=(
+                    "What the suite leaves out of the study that it was made from is not known here, as that study was"
+                    " not found; --against names it.",
+                ),
             )
     with StudyFile.open(against, readonly=True) as earlier:
         sources = _match_rows(study, earlier)
@@ -80,6 +87,7 @@ def read_expected_runs(study: StudyFile, against: Path | None = None) -> Expecte
                 }
                 for scenario, source in shown.items()
             },
+            gaps=tuple(describe_suite_gaps(study, earlier, list(sources.values()))),
         )
 
 

@@ -36,6 +36,7 @@ from cornercase.report.html._boundary_section import render_boundary_pairs
 from cornercase.report.html._cluster_sections import render_agreement, render_clusterings
 from cornercase.report.html._estimate_sections import render_estimates
 from cornercase.report.html._overview_sections import render_failures, render_provenance, render_scores
+from cornercase.report.html._probability_section import render_probability
 from cornercase.report.html._reduced_set_sections import render_reduced_set
 from cornercase.report.html._tables import Section
 from cornercase.report.html._templates import check_page_path, render_template, write_page
@@ -191,6 +192,7 @@ def render_report(
         contents=contents,
         answers=contents["answers"],
         verdicts=verdicts,
+        gaps=[escape_control_characters(sentence) for sentence in expected.gaps],
         details=[section for section in details if section is not verdicts],
         provenance=render_provenance(data.file_name, data.summary),
         recordings={**recordings, **expected.recordings},
@@ -201,6 +203,7 @@ def render_details(data: ReportData) -> Iterator[Section]:
     """Yield all detail sections in the order of the page."""
     sections = (
         render_verdicts,
+        render_probability,
         render_scores,
         *((render_estimates,) if data.summary.represents_space else ()),
         render_boundary_pairs,

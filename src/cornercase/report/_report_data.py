@@ -17,6 +17,7 @@ from cornercase.recordings import Recording
 from cornercase.reduction._coverage import CoverageCurves
 from cornercase.reduction._set_manifest import read_coverage_curves
 from cornercase.report._estimates import MissedFractionAfter, estimate_missed_fractions
+from cornercase.report._near_misses import NearMiss, find_closest_approach
 from cornercase.report._road_drawing import add_road_margin
 from cornercase.report._summary import Summary, entities_hit_by_ego, summarize_with_collisions
 from cornercase.roads._outline import Region
@@ -24,7 +25,7 @@ from cornercase.scenario import Parameter
 from cornercase.study import ScenarioRecord, StudyFile
 from cornercase.study._digest import COURSE_POINTS
 from cornercase.suite import Verdict
-from cornercase.suite._judge import judge_study
+from cornercase.suite._judge import judge_study, measure_margins
 
 # Measured memory of one scenario until the page is written.
 _BYTES_PER_SCENARIO: Final = 10_000
@@ -50,6 +51,7 @@ class ReportData:
     courses: Mapping[str, Mapping[int, Float32Array]]  # capped courses by metric and id, shape (T,); only for figures
     entities_hit: Mapping[int, frozenset[str]]  # entities the ego collides with, by id
     hardest_impacts: Mapping[int, Impact]  # by id: the ego's fastest collision with one of the others
+    approaches: Mapping[int, NearMiss]  # by id: how near the ego came to one of the others, if it met one
     examples: Mapping[int, Recording]  # recordings of the clusters' examples, by id
     values: FloatArray  # parameters, shape (n, d); indices for choices
     influential_parameters: tuple[
@@ -58,6 +60,7 @@ class ReportData:
     is_critical: BoolArray  # shape (n,); all False without a threshold
     coverage_curves: Mapping[str, CoverageCurves]  # by aspect; empty before the study was reduced
     verdicts: Mapping[int, Sequence[Verdict]]  # by id, one per requirement; empty without requirements
+    margins: Mapping[int, Mapping[str, float]]  # by id and requirement, if it has a margin; negative if violated
     outcomes: Mapping[int, str]  # endings by id; empty before the study was analyzed
     notes: Mapping[int, str]  # user notes by id
     missed_fractions: tuple[MissedFractionAfter, ...]  # empty if unknown
@@ -104,6 +107,7 @@ def read_report_data(
     courses: dict[str, dict[int, Float32Array]] = {metric.name: {} for metric in metrics}
     touched: dict[int, frozenset[str]] = {}
     impacts: dict[int, tuple[Impact, ...]] = {}
+    approaches: dict[int, NearMiss] = {}
     region: Region | None = None
     for count, (scenario, digest) in enumerate(study.iter_digests()):
         if not count and memory is not None:
@@ -113,6 +117,8 @@ def read_report_data(
             lines[metric.name][scenario] = line
         touched[scenario] = entities_hit_by_ego(study.meta, digest.collisions)
         impacts[scenario] = digest.outcomes[0].impacts
+        if (approach := find_closest_approach(digest.features, study.meta.others)) is not None:
+            approaches[scenario] = approach
         region = _union_region(region, digest.bounds)
         if on_read is not None:
             on_read(count + 1)
@@ -122,6 +128,7 @@ def read_report_data(
         times[scenario] = shared_times.setdefault(recording.time.tobytes(), recording.time)
         for metric in metrics:
             courses[metric.name][scenario] = metric.clip_course(score_courses[metric.name]).astype(np.float32)
+    verdicts = judge_study(study)
     summary = summarize_with_collisions(study, list(touched.values()), list(impacts.values()))
     return ReportData(
         file_name=study.path.name,
@@ -142,6 +149,7 @@ def read_report_data(
             for scenario, hits in impacts.items()
             if hits
         },
+        approaches=approaches,
         examples=_read_examples(study, summary.analyses) if charts else {},
         values=values,
         influential_parameters=order_by_influence(values, scores[metrics[0].name]),
@@ -149,7 +157,8 @@ def read_report_data(
         coverage_curves={}
         if summary.reduced_set is None or not charts
         else read_coverage_curves(study, summary.analyses, summary.reduced_set.ids),
-        verdicts=judge_study(study),
+        verdicts=verdicts,
+        margins=measure_margins(study, verdicts),
         outcomes=study.outcomes(),
         notes=study.notes(),
         missed_fractions=tuple(estimate_missed_fractions(study, summary.estimates)) if charts else (),

@@ -16,3 +16,4 @@ from .compare._comparison import Finding as Finding
 from .compare._comparison import ScenarioPair as ScenarioPair
 from .compare._comparison import ScoreChanges as ScoreChanges
 from .compare._comparison import SpaceChange as SpaceChange
+from .compare._comparison import UnpairedScenarios as UnpairedScenarios

@@ -119,6 +119,22 @@ def compute_margin(requirement: Requirement, recording: Recording, ego: str, oth
     return min(float(evaluation.robustness()[0]) for evaluation in evaluations)
 
 
+def measure_margins(study: StudyFile, verdicts: Mapping[int, Sequence[Verdict]]) -> dict[int, dict[str, float]]:
+    """Return the margin of each verdict that passed or failed, by scenario id and requirement; without collisions."""
+    margins: dict[int, dict[str, float]] = {}
+    for scenario, of_scenario in verdicts.items():
+        decided = [Requirement.parse(verdict.requirement) for verdict in of_scenario if verdict.state != "inconclusive"]
+        measured = [requirement for requirement in decided if requirement.expression.has_margin]
+        if measured:
+            recording = study.recording(scenario)
+            values = {
+                requirement.text: compute_margin(requirement, recording, study.meta.ego, study.meta.others)
+                for requirement in measured
+            }
+            margins[scenario] = {text: value for text, value in values.items() if value is not None}
+    return margins
+
+
 def depends_on_reference(requirement: Requirement, recording: Recording, ego: str, others: Sequence[str]) -> bool:
     """Tell whether the verdict on a recording cannot be decided before reference drivers have been run."""
     evaluations = evaluate_run(requirement.expression.root, recording, ego, others).values()

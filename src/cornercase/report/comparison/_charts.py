@@ -32,7 +32,7 @@ class Chart:
     up: str  # label of the vertical axis
     ticks_across: tuple[tuple[float, str], ...]  # position and number
     ticks_up: tuple[tuple[float, str], ...]
-    points: tuple[tuple[float, float, str, str], ...]  # x, y, class, text
+    points: tuple[tuple[float, float, str, str, tuple[int, int]], ...]  # x, y, class, text, ids
     diagonal: tuple[float, float, float, float] | None  # from x, y to x, y
     legend: tuple[tuple[str, str], ...]  # class and its meaning
 
@@ -85,7 +85,7 @@ def _score_chart(pairs: Sequence[ScenarioPair], name: str, metric: Metric) -> Ch
         up=f"new {name}{unit}",
         ticks_across=_ticks(low, high, is_horizontal=True),
         ticks_up=_ticks(low, high, is_horizontal=False),
-        points=_thin_unchanged(points, classes.tolist(), texts),
+        points=_thin_unchanged(points, classes.tolist(), texts, pairs),
         diagonal=(corner[0], corner[2], corner[1], corner[3]),
         legend=(("new", "more critical now"), ("old", "less critical now"), ("both", "as before")),
     )
@@ -121,6 +121,7 @@ def _space_chart(pairs: Sequence[ScenarioPair], axes: Sequence[Parameter]) -> Ch
             ),
             classes,
             texts,
+            pairs,
         ),
         diagonal=None,
         legend=(
@@ -164,8 +165,10 @@ def _ticks(low: float, high: float, *, is_horizontal: bool) -> tuple[tuple[float
     )
 
 
-def _thin_unchanged(points: FloatArray, classes: Sequence[str], texts: Sequence[str]) -> tuple[tuple[Any, ...], ...]:
-    """Return points with their class and text; unchanged points are thinned out.
+def _thin_unchanged(
+    points: FloatArray, classes: Sequence[str], texts: Sequence[str], pairs: Sequence[ScenarioPair]
+) -> tuple[tuple[Any, ...], ...]:
+    """Return points with their class, text and ids; unchanged points are thinned out.
 
     Changed points come last, so that they are drawn on top.
     """
@@ -173,4 +176,4 @@ def _thin_unchanged(points: FloatArray, classes: Sequence[str], texts: Sequence[
     changed = [k for k, point_class in enumerate(classes) if point_class != "both"]
     stride = max(1, math.ceil(len(unchanged) / _MAX_UNCHANGED_POINTS))
     order = [*unchanged[::stride], *changed]
-    return tuple((*points[k].tolist(), classes[k], texts[k]) for k in order)
+    return tuple((*points[k].tolist(), classes[k], texts[k], pairs[k].ids) for k in order)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -10,21 +9,21 @@ from typing import Any, Final
 
 from cornercase._common import validation
 from cornercase._common.io.files import check_output_differs_from_source
-from cornercase._common.typing import FloatArray
+from cornercase._common.text.sanitize import quote_name
 from cornercase.recordings import Recording
-from cornercase.recordings._rounded import encode_rounded
-from cornercase.report._event_payload import find_events_of_scenario
 from cornercase.report._page import REPLAY_SCRIPTS
 from cornercase.report._payload import parameter_columns, round_score, score_source_column, study_info_payload
 from cornercase.report._road_drawing import encode_road_outline, find_road_outline, recorded_bounds
 from cornercase.report.comparison._charts import draw_charts
+from cornercase.report.comparison._next_steps import describe_next_steps
+from cornercase.report.comparison._origins import describe_origins
+from cornercase.report.comparison._replayed_pairs import ReplayedPairs, read_replayed_pairs
 from cornercase.report.html._templates import render_template, write_page
 from cornercase.scenario._file import ScenarioFile
 from cornercase.study import StudyFile
 from cornercase.study._study_file import open_study
-from cornercase.suite import Comparison, Example, Finding
-from cornercase.suite.compare._comparison import format_pair_ids
-from cornercase.suite.compare._describe_comparison import MAX_TABLE_SCENARIOS, describe_comparison
+from cornercase.suite import Comparison, Example, Finding, ScenarioPair
+from cornercase.suite.compare._describe_comparison import describe_comparison
 
 _STYLES: Final = ("style.css", "replay.css", "versions.css")
 _SCRIPTS: Final = ("store.js", "recordings.js", *REPLAY_SCRIPTS, "versions.js")
@@ -85,22 +84,13 @@ def write_comparison(
 def _render_page(
     comparison: Comparison, old: StudyFile, new: StudyFile, scenario: Path | str | ScenarioFile | None
 ) -> str:
-    recordings, texts, events = [], {}, {}
-    for k, telling in enumerate(comparison.examples):
-        for number, study, scenario_id in _scenarios_of_example(k, telling, old, new):
-            if study.scenario_scores(scenario_id):
-                recordings.append(study.recording(scenario_id))
-                packed = encode_rounded(recordings[-1], _read_courses(study, scenario_id, comparison))
-                texts[number] = base64.b64encode(packed).decode()
-                events[str(number)] = find_events_of_scenario(study, scenario_id, recordings[-1])
-    sections = [
-        section for section in describe_comparison(comparison) if section.key not in ("answer", "findings", "telling")
-    ]
-    answer = describe_comparison(comparison)[0]
+    replayed = read_replayed_pairs(comparison, old, new)
+    sections = {section.key: section for section in describe_comparison(comparison)}
+    changes = sections["changes"]
     contents = (
-        _replay_payload(comparison, old, new)
-        | {"recordings": list(texts), "events": events}
-        | _road_payload(comparison, old, recordings, scenario)
+        _replay_payload(comparison, replayed.pairs, old, new)
+        | {"recordings": list(replayed.texts), "events": replayed.events, "differences": replayed.differences}
+        | _road_payload(comparison, old, replayed.recordings, scenario)
     )
     return render_template(
         "versions.html.j2",
@@ -109,51 +99,55 @@ def _render_page(
         policy=_POLICY,
         title=f"{comparison.title}: {comparison.names[0]} and {comparison.names[1]}",
         about=f"{comparison.names[0]} is the old version, {comparison.names[1]} the new one.",
-        answer=answer,
+        answer=sections["answer"],
+        heading=changes.title,
+        changes=[replayed.link_sentence(sentence) for sentence in changes.sentences],
         verdict=comparison.verdict,
         reason=comparison.verdict_reason,
         findings=[
-            (title, _findings_payload(findings, comparison))
-            for title, findings in _findings_by_direction(comparison)
+            (title, _findings_payload(findings, replayed))
+            for title, findings in (("Worse", comparison.worse), ("Better", comparison.better))
             if findings
         ],
-        sections=sections,
-        charts=list(draw_charts(comparison, old.space.parameters)),
-        telling=[
-            (2 * k + 1, 2 * k + 2, example.reason, _format_ids(example))
-            for k, example in enumerate(comparison.examples)
+        steps=[
+            (question, [replayed.link_sentence(sentence) for sentence in sentences])
+            for question, sentences in describe_next_steps(comparison, new)
         ],
+        sections=[
+            section
+            for section in describe_comparison(comparison)
+            if section.key not in ("answer", "changes", "findings", "telling")
+        ],
+        replayed=replayed,
+        left_out=_describe_left_out(comparison, replayed),
+        charts=list(draw_charts(comparison, old.space.parameters)),
+        examples=[
+            (replayed.numbers_by_ids[example.pair.ids], example.reason, _format_ids(example))
+            for example in comparison.examples
+            if example.pair.ids in replayed.numbers_by_ids
+        ],
+        origins=describe_origins(comparison, old, new),
         contents=contents,
-        recordings=texts,
+        recordings=replayed.texts,
     )
 
 
-def _findings_by_direction(comparison: Comparison) -> tuple[tuple[str, tuple[Finding, ...]], ...]:
-    return ("Worse", comparison.worse), ("Better", comparison.better)
+def _describe_left_out(comparison: Comparison, replayed: ReplayedPairs) -> str:
+    """Say how many scenarios that differ have no replay on the page; empty if all have one."""
+    if not replayed.n_left_out:
+        return ""
+    return (
+        f"{replayed.n_left_out} more scenarios differ, whose replays would make this page too large; their numbers are"
+        f" no links. See one with: cornercase replay {quote_name(comparison.names[1])} ID -o run.html"
+    )
 
 
-def _findings_payload(findings: Sequence[Finding], comparison: Comparison) -> list[dict[str, Any]]:
-    """Return the texts of findings, with the page's numbers of the example scenarios that show them."""
-    page_numbers = {example.pair.ids: (2 * k + 1, 2 * k + 2) for k, example in enumerate(comparison.examples)}
+def _findings_payload(findings: Sequence[Finding], replayed: ReplayedPairs) -> list[dict[str, Any]]:
+    """Return the texts of findings, with links to the replays of their scenarios."""
     return [
-        {
-            "what": finding.change_text,
-            "test": finding.describe_test(),
-            "scenarios": [
-                (format_pair_ids(ids), *page_numbers.get(ids, (None, None)))
-                for ids in finding.ids[:MAX_TABLE_SCENARIOS]
-            ],
-            "more": max(len(finding.ids) - MAX_TABLE_SCENARIOS, 0),
-        }
+        {"what": finding.change_text, "test": finding.describe_test(), "scenarios": replayed.link_all(finding.ids)}
         for finding in findings
     ]
-
-
-def _scenarios_of_example(
-    index: int, example: Example, old: StudyFile, new: StudyFile
-) -> tuple[tuple[int, StudyFile, int], ...]:
-    """Return old and new scenario of example `index`, each as its number on the page, its study and its id."""
-    return (2 * index + 1, old, example.pair.ids[0]), (2 * index + 2, new, example.pair.ids[1])
 
 
 def _format_ids(example: Example) -> str:
@@ -161,15 +155,11 @@ def _format_ids(example: Example) -> str:
     return f"Scenario {first}" if first == second else f"Scenarios {first} and {second}"
 
 
-def _read_courses(study: StudyFile, scenario: int, comparison: Comparison) -> dict[str, FloatArray]:
-    names = [score.metric for score in comparison.scores]
-    return {name: comparison.metrics[name].clip_course(study.course(scenario, name)) for name in names}
-
-
-def _replay_payload(comparison: Comparison, old: StudyFile, new: StudyFile) -> dict[str, Any]:
-    """Return the contents of the replays; both scenarios of each example have numbers of their own on the page."""
+def _replay_payload(
+    comparison: Comparison, pairs: Sequence[ScenarioPair], old: StudyFile, new: StudyFile
+) -> dict[str, Any]:
+    """Return the contents of the replays; both scenarios of each pair have numbers of their own on the page."""
     rows = [{row.id: row for row in study.rows()} for study in (old, new)]
-    pairs = [example.pair for example in comparison.examples]
     outcomes = sorted({outcome for pair in pairs for outcome in pair.outcomes if outcome})
     metrics = [score.metric for score in comparison.scores]
     members = [(pair, side, rows[side][pair.ids[side]]) for pair in pairs for side in (0, 1)]

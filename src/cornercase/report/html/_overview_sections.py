@@ -91,7 +91,7 @@ def render_provenance(file_name: str, summary: Summary) -> Markup:
         "optimizer": meta.optimizer,
         "seed": meta.seed,
         "simulator": meta.simulator,
-        **{f"simulator's {key}": _format_setting(value) for key, value in settings.items()},
+        **{f"simulator's {key}": format_setting(value) for key, value in settings.items()},
         **{f"driver of {entity}": format_driver(driver) for entity, driver in meta.drivers.items()},
         **{
             f"time to {_STAGE_NAMES.get(name, name)} [s]": _format_seconds(time)
@@ -113,10 +113,10 @@ def _format_seconds(seconds: float) -> str:
     return f"{seconds:.3g}" if seconds < 100.0 else f"{seconds:.0f}"
 
 
-def _format_setting(value: Any) -> str:
+def format_setting(value: Any) -> str:
     """Format the value of a setting for readers who do not know Python."""
     if isinstance(value, dict):
-        return ", ".join(f"{name}: {_format_setting(item)}" for name, item in value.items())
+        return ", ".join(f"{name}: {format_setting(item)}" for name, item in value.items())
     if isinstance(value, list | tuple):
         return ", ".join(map(str, value))
     # Only the file name, as folders of the author are private.

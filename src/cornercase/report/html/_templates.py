@@ -12,6 +12,7 @@ from markupsafe import Markup
 
 from cornercase._common.errors import InputError
 from cornercase._common.io.files import atomic_write
+from cornercase.report.html._scenario_links import link_scenarios
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -57,6 +58,7 @@ def _template_environment() -> Environment:
 
     environment = Environment(loader=PackageLoader("cornercase.report", "web"), autoescape=True, trim_blocks=True)
     environment.filters["json"] = _json_for_script
+    environment.filters["link_scenarios"] = link_scenarios
     return environment
 
 

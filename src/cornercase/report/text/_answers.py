@@ -16,13 +16,16 @@ from cornercase.metrics._outcome import Fault, Impact, Manner
 from cornercase.reduction import ReducedSet
 from cornercase.report._collision_replies import ReplyCounts
 from cornercase.report._estimates import CriticalEstimates
+from cornercase.report._near_misses import describe_near_misses, sort_near_misses
 from cornercase.report._reference_counts import describe_references
 from cornercase.report._report_data import ReportData
+from cornercase.report.text._danger_ranges import describe_danger_ranges
 from cornercase.report.text._phrases import (
     append_unit,
     describe_aspect,
     describe_dangers,
     describe_front,
+    describe_little_influence,
     describe_missing_sensitivity,
     describe_selection_threshold,
     describe_threshold_override,
@@ -33,6 +36,7 @@ from cornercase.report.text._phrases import (
     format_criterion_with_signs,
     format_percent,
     group_failures_by_reason,
+    join_with_and,
     use_math_signs,
 )
 from cornercase.report.text._reply_sentences import describe_replies
@@ -41,6 +45,7 @@ from cornercase.suite._verdict import worst_state
 
 # Points listed below an answer; the details have all.
 _MAX_POINTS = 6
+_MAX_NEAR_MISSES = 5
 _NEGLIGIBLE_SHARE = 0.01
 _ROLE_NAMES: Final[dict[str, tuple[str, str]]] = {
     "critical prototype": ("prototype of critical ones", "prototypes of critical ones"),
@@ -89,6 +94,8 @@ def page_answers(data: ReportData) -> Iterator[Answer]:
     yield _answer_collisions(data)
     if summary.replies is not None:
         yield _answer_replies(data, summary.replies)
+    elif summary.represents_space and not data.hardest_impacts and not summary.unmeasured_collisions:
+        yield _answer_nothing_to_avoid(data)
     if summary.represents_space:
         yield from _answer_search(data)
     elif summary.analyses:
@@ -159,13 +166,16 @@ def _answer_collisions(data: ReportData) -> Answer:
     name, question, ego = "collisions", "Does it collide?", data.summary.meta.ego
     hardest = sorted(data.hardest_impacts.items(), key=lambda item: (-np.nan_to_num(item[1].speed), item[0]))
     scenarios = "the one scenario" if data.summary.n_run == 1 else f"the {data.summary.n_run} scenarios"
+    misses = sort_near_misses(data.approaches, data.hardest_impacts)
     if not hardest:
-        return Answer(
-            name, question, f"No: {ego} touches {' or '.join(data.summary.meta.others)} in none of {scenarios}."
-        )
+        text = f"No: {ego} touches {' or '.join(data.summary.meta.others)} in none of {scenarios}."
+        if misses:
+            text += f" The nearest miss is {misses[0][1].describe()}, in scenario {misses[0][0]}."
+        nearest = misses[: _MAX_NEAR_MISSES if len(misses) > 1 else 0]
+        return Answer(name, question, text, tuple(describe_near_misses(nearest)))
     others = data.summary.meta.others
     counts = Counter(name for names in data.entities_hit.values() for name in names if name in others)
-    hit = _join_with_and([f"{entity} in {count}" for entity, count in counts.most_common()])
+    hit = join_with_and([f"{entity} in {count}" for entity, count in counts.most_common()])
     worst, impact = hardest[0]
     hard = f"hardest in scenario {worst}, at a relative speed of {impact.speed:.2g} m/s"
     sentences = [f"Yes: {ego} collides with {hit} of {scenarios}, {hard}."]
@@ -180,7 +190,8 @@ def _answer_collisions(data: ReportData) -> Answer:
         + ("." if impact.fault is None else f"; {_describe_fault_with_reason(impact.fault, ego, impact.entity)}.")
         for scenario, impact in hardest[:_MAX_POINTS]
     ]
-    return Answer(name, question, " ".join(sentences), tuple(points))
+    room = min(_MAX_NEAR_MISSES, _MAX_POINTS - len(points))
+    return Answer(name, question, " ".join(sentences), (*points, *describe_near_misses(misses[:room])))
 
 
 def _describe_fault_with_reason(fault: Fault, ego: str, other: str) -> str:
@@ -203,6 +214,18 @@ def _answer_replies(data: ReportData, replies: ReplyCounts) -> Answer:
     return Answer("fix", "What do I fix?", text, (*filter(None, [references]), *points))
 
 
+def _answer_nothing_to_avoid(data: ReportData) -> Answer:
+    """Say which margin the worst scenarios have, where nothing collides."""
+    summary, sentences = data.summary, ["Nothing collided, so there is no collision to avoid."]
+    if misses := sort_near_misses(data.approaches, {}):
+        sentences.append(f"The margin was smallest in scenario {misses[0][0]}: {misses[0][1].describe()}.")
+    if summary.estimates.critical is not None and summary.estimates.critical.n_critical and summary.metrics:
+        name, metric = next(iter(summary.metrics.items()))
+        score = append_unit(f"{metric.most_critical:.3g}", metric.unit)
+        sentences.append(f"The most critical by {name} is scenario {metric.most_critical_id}, with {score}.")
+    return Answer("fix", "What do I fix?", " ".join(sentences))
+
+
 def _describe_faults(data: ReportData) -> str:
     """Say whose fault the collisions are; empty if an early version stored none."""
     meta, counts = data.summary.meta, data.summary.faults
@@ -213,7 +236,7 @@ def _describe_faults(data: ReportData) -> str:
     if not parts:
         return f"Whose fault it is: {undecided}." if undecided else ""
     verb = "are" if len(parts) > 1 or counts["both"] else "is"
-    return "; ".join(filter(None, (f"At fault {verb} {_join_with_and(parts)}", undecided))) + "."
+    return "; ".join(filter(None, (f"At fault {verb} {join_with_and(parts)}", undecided))) + "."
 
 
 def _answer_critical_share(data: ReportData) -> Answer:
@@ -304,7 +327,7 @@ def _answer_clusters(data: ReportData) -> Answer:
     undivided = [by for by, analysis in analyses.items() if analysis.clustering.n_clusters <= 1]
     bands = tuple(f"{bands.describe()}." for by, bands in data.summary.bands.items() if by in undivided)
     if analyses[chosen].clustering.n_clusters <= 1:
-        return Answer(name, question, f"There are no separate kinds by {_join_with_and(undivided)}.", bands)
+        return Answer(name, question, f"There are no separate kinds by {join_with_and(undivided)}.", bands)
     analysis = analyses[chosen]
     noise = int((analysis.labels < 0).sum())
     outside = f", and {noise} scenarios of noise" if noise else ""
@@ -320,9 +343,9 @@ def _answer_clusters(data: ReportData) -> Answer:
     if len(points) > _MAX_POINTS:
         points = [*points[:_MAX_POINTS], f"{len(points) - _MAX_POINTS} smaller ones are listed below."]
     if divided:
-        sentences.append(f"There are also kinds by {_join_with_and(divided)}.")
+        sentences.append(f"There are also kinds by {join_with_and(divided)}.")
     if undivided:
-        sentences.append(f"There are no separate kinds by {_join_with_and(undivided)}.")
+        sentences.append(f"There are no separate kinds by {join_with_and(undivided)}.")
     # Names of kinds that tell nothing apart tell nothing; the details have them.
     points = [*(points if has_useful_clusters(analysis) else []), *bands]
     return Answer(name, question, " ".join(sentences), tuple(points))
@@ -345,12 +368,7 @@ def _answer_parameters(data: ReportData) -> Answer:
         f" others, {_format_share_with_interval(sensitivity.first[k], sensitivity.first_interval[k])} alone."
         for k in order[:_MAX_POINTS]
     ]
-    has = "has" if len(sensitivity.uninfluential_parameters) == 1 else "have"
-    little = (
-        f" {_join_with_and(list(sensitivity.uninfluential_parameters))} {has} little influence on it."
-        if sensitivity.uninfluential_parameters
-        else ""
-    )
+    little = describe_little_influence(sensitivity, " on it")
     text = (
         f"{sensitivity.names[order[0]]} matters most: {format_percent(sensitivity.total[order[0]])} of the variance of"
         f" {data.summary.objective} comes from it, alone or together with the others.{little} The shares come from a"
@@ -358,7 +376,7 @@ def _answer_parameters(data: ReportData) -> Answer:
         f" (cross-validated); intervals"
         " are of 90 %."
     )
-    return Answer(name, question, text, tuple(points))
+    return Answer(name, question, text, (*points, *describe_danger_ranges(data)))
 
 
 def _format_share_with_interval(value: float, interval: tuple[float, float]) -> str:
@@ -372,7 +390,7 @@ def _answer_reduced_set(data: ReportData) -> Answer:
     if reduced is None:
         return Answer(name, question, "The study has not been reduced yet; cornercase reduce finds the few to keep.")
     roles = Counter(str(scenario.role) for scenario in reduced.scenarios)
-    counts = _join_with_and([f"{n} {forms[n != 1]}" for role, forms in _ROLE_NAMES.items() if (n := roles[role])])
+    counts = join_with_and([f"{n} {forms[n != 1]}" for role, forms in _ROLE_NAMES.items() if (n := roles[role])])
     sentences = [f"Keep {len(reduced.scenarios)} of the {reduced.n_run} scenarios: {counts or 'none'}."]
     sentences.append(_describe_selected_outcomes(data, reduced))
     if later := data.summary.n_run - reduced.n_run:
@@ -488,7 +506,3 @@ def _answer_probability(estimate: Any) -> Answer:
         )
     sentences.append(f"Estimated from {estimate['scenarios']} scenarios.")
     return Answer("probability", "How probable is it?", " ".join([*sentences, *estimate["warnings"]]))
-
-
-def _join_with_and(words: list[str]) -> str:
-    return " and ".join(filter(None, (", ".join(words[:-1]), words[-1]))) if words else ""

@@ -18,6 +18,7 @@ from cornercase.report.text._phrases import (
     describe_clustering_method,
     describe_front,
     describe_informativeness,
+    describe_little_influence,
     describe_missing_sensitivity,
     format_criterion_with_signs,
     format_value,
@@ -63,14 +64,8 @@ def describe_most_influential(sensitivity: Sensitivity) -> str:
     """Describe which parameter influences the score most."""
     if not sensitivity.is_meaningful:
         return describe_missing_sensitivity()
-    little = (
-        f" {' and '.join(sensitivity.uninfluential_parameters)}"
-        f" {'has' if len(sensitivity.uninfluential_parameters) == 1 else 'have'} little influence."
-    )
-    return (
-        f"{sensitivity.names[int(np.argmax(sensitivity.total))]} matters"
-        f" most.{little if sensitivity.uninfluential_parameters else ''}"
-    )
+    most = sensitivity.names[int(np.argmax(sensitivity.total))]
+    return f"{most} matters most.{describe_little_influence(sensitivity)}"
 
 
 def describe_score_distribution(data: ReportData, metric: Metric) -> str:

@@ -11,6 +11,7 @@ from cornercase._common.plugin_errors import group_failure_messages
 from cornercase._common.text.sanitize import docstring_summary
 from cornercase.clustering import ASPECTS, Analysis, Profile
 from cornercase.clustering._headline import SOME_INFORMATION
+from cornercase.evidence._sensitivity import Sensitivity
 from cornercase.metrics import METRICS
 from cornercase.metrics._critical_if import find_critical_if_condition
 from cornercase.report._summary import Summary
@@ -155,6 +156,20 @@ def describe_selection_threshold(summary: Summary) -> str:
 def use_math_signs(criterion: str) -> str:
     """Replace ``<=`` and ``>=`` by ``≤`` and ``≥``."""
     return criterion.replace("<=", "≤").replace(">=", "≥")
+
+
+def join_with_and(words: list[str]) -> str:
+    """Join words: ``"a, b and c"``."""
+    return " and ".join(filter(None, (", ".join(words[:-1]), words[-1]))) if words else ""
+
+
+def describe_little_influence(sensitivity: Sensitivity, on: str = "") -> str:
+    """Say which parameters have little influence ``on`` something; empty if none has."""
+    # Tied parameters have one joint name.
+    names = [name for joint in sensitivity.uninfluential_parameters for name in joint.split(", ")]
+    if not names:
+        return ""
+    return f" {join_with_and(names)} {'has' if len(names) == 1 else 'have'} little influence{on}."
 
 
 def format_range(parameter: Parameter) -> str:

@@ -7,6 +7,14 @@ function parsed(html) {
   return [...new DOMParser().parseFromString(html, "text/html").body.childNodes];
 }
 
+// Text whose scenarios lead to their replays, as _scenario_links.py writes it.
+function withScenarioLinks(text) {
+  return text.split(/(\b[Ss]cenario \d+\b)/).map((part, k) => {
+    if (k % 2 === 0) return part;
+    return Object.assign(document.createElement("a"), { href: `#id=${part.split(" ")[1]}`, textContent: part });
+  });
+}
+
 function showAnswers(answers) {
   const section = document.getElementById("answers");
   const box = section.querySelector(".columns");
@@ -21,11 +29,15 @@ function showAnswers(answers) {
       one.append(document.createElement("h3"), document.createElement("p"));
     }
     one.querySelector("h3").textContent = question;
-    one.querySelector("p").textContent = text;
+    one.querySelector("p").replaceChildren(...withScenarioLinks(text));
     one.querySelector("ul")?.remove();
     if (points?.length) {
       const list = document.createElement("ul");
-      for (const point of points) list.append(Object.assign(document.createElement("li"), { textContent: point }));
+      for (const point of points) {
+        const item = document.createElement("li");
+        item.append(...withScenarioLinks(point));
+        list.append(item);
+      }
       one.append(list);
     }
     box.append(one);

@@ -12,7 +12,7 @@ class Link {
     addEventListener("hashchange", () => this.read());
     addEventListener("popstate", () => this.read());
     // A scenario that a text of the page names is shown far from it.
-    for (const part of document.querySelectorAll("#details, #verdicts")) {
+    for (const part of document.querySelectorAll("#answers, #details, #verdicts")) {
       part.addEventListener("click", (event) => {
         if (event.target.closest("a[href^='#id=']")) document.querySelector("#replay")?.scrollIntoView();
       });

@@ -14,6 +14,7 @@ from cornercase._common.errors import InputError
 from cornercase._common.validation import check_str_sequence
 from cornercase.clustering import read_analyses
 from cornercase.clustering._assign import assign_to_clusters
+from cornercase.clustering._headline import find_headline_aspect
 from cornercase.drivers import DRIVERS
 from cornercase.drivers._description import driver_command_option, format_driver
 from cornercase.evidence import SetDifference
@@ -37,6 +38,7 @@ from cornercase.suite.compare._match import (
     StudySide,
     choose_compared_metrics,
     criticality_metrics,
+    describe_unpaired,
     match_pairs,
     space_filling_scores,
 )
@@ -138,6 +140,7 @@ def compare(
         tests = _run_tests(sides[0], sides[1], pairs, compared_metrics, deterministic, sets)
         changed, reason = _decide_whether_changed(pairs, tests, deterministic)
         worse, better, within = find_findings(pairs, tests, metric_by_name, limits, deterministic)
+        clusters, main_aspect = _count_cluster_changes(before, after, pairs)
         verdict, verdict_reason = decide_verdict((worse, better), pairs, tests, (changed, reason), deterministic)
         return Comparison(
             names=(before.path.name, after.path.name),
@@ -157,6 +160,9 @@ def compare(
             is_deterministic=deterministic,
             pairs=pairs,
             n_unmatched=(len(sides[0].rows) - len(pairs), len(sides[1].rows) - len(pairs)),
+            unpaired=describe_unpaired(sides[0], sides[1], pairs),
+            same_search=(before.meta.optimizer, before.meta.seed) == (after.meta.optimizer, after.meta.seed),
+            main_aspect=main_aspect,
             scores=tuple(
                 _compute_score_change(pairs, name, metric)
                 for name, metric in compared_metrics.items()
@@ -167,7 +173,7 @@ def compare(
             verdicts=Counter(
                 (a.requirement, a.state, b.state) for pair in pairs for a, b in zip(*pair.verdicts, strict=True)
             ),
-            clusters=_count_cluster_changes(before, after, pairs),
+            clusters=clusters,
             space=space,
             examples=choose_examples(pairs, compared_metrics, _objective_metric(before.meta, compared)),
             metrics=metric_by_name,
@@ -336,12 +342,18 @@ def _format_setting(value: Any) -> str:
 
 def _count_cluster_changes(
     old: StudyFile, new: StudyFile, pairs: Sequence[ScenarioPair]
-) -> dict[str, tuple[ClusterChange, ...]]:
-    """Count the pairs in each cluster of the old study; recordings of the new version are assigned to these."""
+) -> tuple[dict[str, tuple[ClusterChange, ...]], str]:
+    """Count the pairs in each cluster of the old study; recordings of the new version are assigned to these.
+
+    Returns the changes by aspect, and the aspect that says most about how scenarios end.
+    """
     clusters = {}
-    for by, analysis in read_analyses(old).items():
-        if by in old.meta.metrics and by not in new.meta.metrics:
-            continue
+    analyses = {
+        by: analysis
+        for by, analysis in read_analyses(old).items()
+        if by not in old.meta.metrics or by in new.meta.metrics
+    }
+    for by, analysis in analyses.items():
         label_of = dict(zip(analysis.ids.tolist(), analysis.labels.tolist(), strict=True))
         ran = [pair for pair in pairs if pair.both_ran and pair.ids[0] in label_of]
         # Unchanged scenarios keep their cluster, also at its edge.
@@ -349,15 +361,29 @@ def _count_cluster_changes(
         assigned = assign_to_clusters(old, analysis, new, [pair.ids[1] for pair in changed]).tolist()
         after = {pair.ids: label_of[pair.ids[0]] for pair in ran}
         after |= {pair.ids: cluster for pair, cluster in zip(changed, assigned, strict=True)}
-        names = {pair.cluster: pair.label for pair in analysis.profiles} | {-1: "noise"}
-        counts = Counter(label_of[pair.ids[0]] for pair in ran), Counter(after.values())
+        names = {profile.cluster: profile.label for profile in analysis.profiles} | {-1: "noise"}
+        labels = {*after.values(), *(label_of[pair.ids[0]] for pair in ran)}
         clusters[by] = tuple(
-            ClusterChange(
+            _build_cluster_change(
                 cluster,
                 "noise" if cluster < 0 else names.get(cluster, f"cluster {cluster}"),
-                counts[0][cluster],
-                counts[1][cluster],
+                [pair for pair in ran if label_of[pair.ids[0]] == cluster],
+                [pair for pair in ran if after[pair.ids] == cluster],
             )
-            for cluster in sorted({*counts[0], *counts[1]}, key=lambda number: (number < 0, number))
+            for cluster in sorted(labels, key=lambda number: (number < 0, number))
         )
-    return clusters
+    return clusters, find_headline_aspect(analyses) or ""
+
+
+def _build_cluster_change(
+    cluster: int, label: str, before: Sequence[ScenarioPair], after: Sequence[ScenarioPair]
+) -> ClusterChange:
+    """Count what the scenarios of a cluster do with each version: `before` are its members then, `after` now."""
+    outcomes = [
+        dict(sorted(Counter(pair.outcomes[side] for pair in members).items(), key=lambda item: (-item[1], item[0])))
+        for side, members in enumerate((before, after))
+    ]
+    ids = [{pair.ids for pair in members} for members in (before, after)]
+    return ClusterChange(
+        cluster, label, len(before), len(after), outcomes[0], outcomes[1], tuple(sorted(ids[0] ^ ids[1]))
+    )

@@ -71,6 +71,8 @@ class ScenarioPair:
         Collisions have no margin.
     criticality_scores : mapping of str to tuple of (float, float)
         Scores that define whether the scenario is critical, by metric; empty without a threshold.
+    faults : tuple of (str, str)
+        Whose fault the ego's first collision is, as ``"Ego at fault"``; empty without a collision, or if unknown.
     """
 
     ids: tuple[int, int]
@@ -86,6 +88,7 @@ class ScenarioPair:
     verdicts: tuple[tuple[Verdict, ...], tuple[Verdict, ...]] = ((), ())
     margins: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     criticality_scores: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    faults: tuple[str, str] = ("", "")
 
     @property
     def both_ran(self) -> bool:
@@ -271,15 +274,44 @@ class ClusterChange:
     cluster : int
         Number in the old study; -1 for noise.
     label : str
-        Name of the cluster.
+        Name of the cluster. It describes the old study, and may not be true of runs of the new version.
     old, new : int
         Number of pairs with each version.
+    old_outcomes, new_outcomes : mapping of str to int
+        How the scenarios of the cluster end with each version, and how many do; the most frequent ending comes first.
+    ids : tuple of (int, int)
+        Pairs that are in the cluster with one version only.
     """
 
     cluster: int
     label: str
     old: int
     new: int
+    old_outcomes: Mapping[str, int] = field(default_factory=dict)
+    new_outcomes: Mapping[str, int] = field(default_factory=dict)
+    ids: tuple[tuple[int, int], ...] = ()
+
+
+@dataclass(frozen=True)
+class UnpairedScenarios:
+    """Scenarios of one study whose parameter values the other study did not run.
+
+    Attributes
+    ----------
+    count : int
+        How many there are.
+    chosen_by_scores : int
+        How many of them the search chose by the scores of their own version.
+    critical : int or None
+        How many of them are critical; None without a threshold.
+    collisions : int
+        In how many of them the ego collides.
+    """
+
+    count: int
+    chosen_by_scores: int
+    critical: int | None
+    collisions: int
 
 
 @dataclass(frozen=True)
@@ -301,6 +333,12 @@ class SpaceChange:
         Why `sets` is None; empty if it is not.
     parameters, units : tuple of str
         Names and units of the coordinates of `sets.middles`.
+    shares : tuple of (Estimate, Estimate) or None
+        Critical share of the space with each version, from scenarios that fill it; None if there are too few.
+    change : Estimate or None
+        Change of this share, new minus old. Its interval holds with at least 90 %.
+    counts : tuple of (int, int)
+        Number of scenarios behind `shares`; of pairs, both are the same.
     """
 
     pairs: int
@@ -311,6 +349,9 @@ class SpaceChange:
     sets_doubt: str
     parameters: tuple[str, ...]
     units: tuple[str, ...]
+    shares: tuple[Estimate, Estimate] | None = None
+    change: Estimate | None = None
+    counts: tuple[int, int] = (0, 0)
 
 
 @dataclass(frozen=True)
@@ -377,6 +418,12 @@ class Comparison:
         The compared metrics, those that define criticality and those in requirements, by name.
     critical : float or None
         Threshold that was given for the comparison; None if each study's own threshold is used.
+    unpaired : tuple of (UnpairedScenarios, UnpairedScenarios) or None
+        What the scenarios of each study are that the other study lacks.
+    same_search : bool
+        Whether both studies were made by the same search with the same seed.
+    main_aspect : str
+        The aspect of `clusters` that says most about how scenarios end; empty without clusters.
     """
 
     names: tuple[str, str]
@@ -402,6 +449,9 @@ class Comparison:
     examples: tuple[Example, ...]
     metrics: Mapping[str, Metric]
     critical: float | None = None
+    unpaired: tuple[UnpairedScenarios, UnpairedScenarios] | None = None
+    same_search: bool = True
+    main_aspect: str = ""
 
     def __bool__(self) -> bool:
         return self.changed
@@ -494,6 +544,7 @@ class Comparison:
                 "old_alone": self.n_unmatched[0],
                 "new_alone": self.n_unmatched[1],
             },
+            "unpaired": None if self.unpaired is None else [asdict(item) for item in self.unpaired],
             "scores": [asdict(item) for item in self.scores],
             "tests": [asdict(item) for item in self.tests],
             "outcomes": [{"old": a, "new": b, "count": n} for (a, b), n in sorted(self.outcomes.items())],
@@ -542,6 +593,7 @@ def _pair_to_json(pair: ScenarioPair) -> dict[str, Any]:
         "run": pair.run,
         "scores": {name: list(values) for name, values in pair.scores.items()},
         "outcomes": list(pair.outcomes),
+        "faults": list(pair.faults),
         "critical": None if pair.is_critical is None else list(pair.is_critical),
         "verdicts": [[old.requirement, old.state, new.state] for old, new in pair.changed_verdicts],
         "errors": list(pair.errors),

@@ -5,10 +5,26 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, TypeAlias
 
 from cornercase.evidence import Estimate
-from cornercase.suite.compare._comparison import ALPHA, Comparison, ScenarioPair, SpaceChange, describe_findings
+from cornercase.suite.compare._change_sentences import (
+    describe_changes,
+    describe_unpaired_scenarios,
+    describe_verdict,
+    format_outcomes,
+)
+from cornercase.suite.compare._comparison import (
+    ALPHA,
+    Comparison,
+    ScenarioPair,
+    SpaceChange,
+    describe_findings,
+    format_pair_ids,
+)
+
+Cell: TypeAlias = str | tuple[tuple[int, int], ...]
+"""A cell of a table: a text, or ids of scenarios in both studies."""
 
 MAX_TABLE_SCENARIOS: Final = 40
 """Largest number of scenarios that a finding names in a table."""
@@ -18,15 +34,20 @@ MAX_TABLE_SCENARIOS: Final = 40
 class ComparisonSection:
     """A section of a comparison report; `header` is the first row of its table, empty without a table.
 
-    `key` is ``"answer"``, ``"findings"``, ``"pairs"``, ``"scores"``, ``"outcomes"``, ``"verdicts"``, ``"tests"``,
-    ``"space"``, ``"kinds"`` or ``"telling"``.
+    `key` is ``"answer"``, ``"changes"``, ``"findings"``, ``"pairs"``, ``"scores"``, ``"outcomes"``, ``"verdicts"``,
+    ``"tests"``, ``"space"``, ``"kinds"`` or ``"telling"``.
     """
 
     key: str
     title: str
     sentences: tuple[str, ...] = ()
     header: tuple[str, ...] = ()
-    rows: tuple[tuple[str, ...], ...] = ()
+    rows: tuple[tuple[Cell, ...], ...] = ()
+
+    @property
+    def text_rows(self) -> tuple[tuple[str, ...], ...]:
+        """Rows of the table with texts only."""
+        return tuple(tuple(map(_format_cell, row)) for row in self.rows)
 
 
 def describe_comparison(comparison: Comparison) -> tuple[ComparisonSection, ...]:
@@ -36,6 +57,7 @@ def describe_comparison(comparison: Comparison) -> tuple[ComparisonSection, ...]
 
 def _iter_sections(comparison: Comparison) -> Iterator[ComparisonSection]:
     yield _answer_section(comparison)
+    yield ComparisonSection("changes", describe_verdict(comparison), describe_changes(comparison))
     if comparison.worse or comparison.better:
         yield _findings_section(comparison)
     yield from _pair_sections(comparison)
@@ -46,10 +68,9 @@ def _iter_sections(comparison: Comparison) -> Iterator[ComparisonSection]:
     yield from _cluster_sections(comparison)
     if comparison.examples:
         rows = tuple(
-            (_format_ids(example.pair.ids), _format_parameters(example.pair), example.reason)
-            for example in comparison.examples
+            ((example.pair.ids,), _format_parameters(example.pair), example.reason) for example in comparison.examples
         )
-        yield ComparisonSection("telling", "Example scenarios", header=("old, new", "parameters", "why"), rows=rows)
+        yield ComparisonSection("telling", "Example scenarios", header=("scenario", "parameters", "why"), rows=rows)
 
 
 def _answer_section(comparison: Comparison) -> ComparisonSection:
@@ -76,11 +97,11 @@ def _format_tolerances(comparison: Comparison) -> Iterator[str]:
 def _findings_section(comparison: Comparison) -> ComparisonSection:
     findings = (*comparison.worse, *comparison.better)
     tests = ("test",) if any(finding.test for finding in findings) else ()
-    rows = tuple(
+    rows: tuple[tuple[Cell, ...], ...] = tuple(
         (
             finding.direction,
             finding.change_text,
-            finding.format_scenario_ids(MAX_TABLE_SCENARIOS),
+            finding.ids,
             *([finding.describe_test()] if tests else []),
         )
         for finding in findings
@@ -89,7 +110,6 @@ def _findings_section(comparison: Comparison) -> ComparisonSection:
 
 
 def _pair_sections(comparison: Comparison) -> Iterator[ComparisonSection]:
-    old, new = comparison.names
     runs = {
         "identical": comparison.count_pairs("the same"),
         "the same up to rounding": comparison.count_pairs("within rounding"),
@@ -99,10 +119,7 @@ def _pair_sections(comparison: Comparison) -> Iterator[ComparisonSection]:
     }
     counts = ", ".join(f"{count} {label}" for label, count in runs.items() if count)
     sentences = [f"{len(comparison.pairs)} scenarios with the same parameters" + (f": {counts}" if counts else "")]
-    if any(comparison.n_unmatched):
-        sentences.append(
-            f"without a partner: {comparison.n_unmatched[0]} of {old}, {comparison.n_unmatched[1]} of {new}"
-        )
+    sentences += describe_unpaired_scenarios(comparison)
     if not comparison.is_deterministic and comparison.pairs:
         n_independent = sum(item.is_score_independent for item in comparison.pairs)
         sentences.append(f"{n_independent} of them were chosen independently of scores; only those are tested")
@@ -111,7 +128,7 @@ def _pair_sections(comparison: Comparison) -> Iterator[ComparisonSection]:
         yield ComparisonSection(
             "scores",
             "Scores",
-            header=("metric", "moved", "more critical", "less critical", "median change", "largest", "in (old, new)"),
+            header=("metric", "moved", "more critical", "less critical", "median change", "largest", "in scenario"),
             rows=tuple(
                 (
                     item.metric,
@@ -120,7 +137,7 @@ def _pair_sections(comparison: Comparison) -> Iterator[ComparisonSection]:
                     str(item.better),
                     _format_signed(item.median, item.unit),
                     _format_signed(item.largest, item.unit),
-                    "" if item.ids is None else _format_ids(item.ids),
+                    "" if item.ids is None else (item.ids,),
                 )
                 for item in comparison.scores
             ),
@@ -129,14 +146,30 @@ def _pair_sections(comparison: Comparison) -> Iterator[ComparisonSection]:
         (pair for pair in comparison.outcomes.items() if pair[0][0] != pair[0][1]), key=lambda item: (-item[1], item[0])
     )
     if changed:
-        rows = tuple((before, after, str(count)) for (before, after), count in changed)
-        yield ComparisonSection("outcomes", "Outcomes that changed", header=("old", "new", "scenarios"), rows=rows)
+        rows = tuple(
+            (
+                before,
+                after,
+                str(count),
+                tuple(pair.ids for pair in comparison.pairs if pair.outcomes == (before, after)),
+            )
+            for (before, after), count in changed
+        )
+        header = ("old", "new", "number", "scenarios")
+        yield ComparisonSection("outcomes", "Outcomes that changed", header=header, rows=rows)
     if comparison.verdicts:
         changed_verdicts = sorted((item, count) for item, count in comparison.verdicts.items() if item[1] != item[2])
-        verdicts = tuple((*item, str(count)) for item, count in changed_verdicts)
+        verdicts = tuple(
+            (*item, str(count), tuple(pair.ids for pair in comparison.pairs if item in _verdict_changes(pair)))
+            for item, count in changed_verdicts
+        )
         n_same = sum(count for item, count in comparison.verdicts.items() if item[1] == item[2])
-        header = ("requirement", "old", "new", "scenarios") if verdicts else ()
-        yield ComparisonSection("verdicts", "Verdicts", (f"{n_same} are the same",), header, verdicts)
+        columns = ("requirement", "old", "new", "number", "scenarios") if verdicts else ()
+        yield ComparisonSection("verdicts", "Verdicts", (f"{n_same} are the same",), columns, verdicts)
+
+
+def _verdict_changes(pair: ScenarioPair) -> set[tuple[str, str, str]]:
+    return {(old.requirement, old.state, new.state) for old, new in pair.changed_verdicts}
 
 
 def _tests_section(comparison: Comparison) -> ComparisonSection:
@@ -187,11 +220,24 @@ def _cluster_sections(comparison: Comparison) -> Iterator[ComparisonSection]:
     for by, kinds in comparison.clusters.items():
         if any(cluster.old != cluster.new for cluster in kinds):
             rows = tuple(
-                (cluster.label, str(cluster.old), str(cluster.new), _describe_size_change(cluster.old, cluster.new))
+                (
+                    cluster.label,
+                    str(cluster.old),
+                    format_outcomes(cluster.old_outcomes),
+                    str(cluster.new),
+                    format_outcomes(cluster.new_outcomes),
+                    _describe_size_change(cluster.old, cluster.new),
+                    cluster.ids,
+                )
                 for cluster in kinds
             )
+            old, new = comparison.names
             yield ComparisonSection(
-                "kinds", f"Kinds by {by}, among the pairs", header=("kind", "old", "new", ""), rows=rows
+                "kinds",
+                f"Kinds by {by}, among the pairs",
+                (f"named by what they are in {old}; what they do with {new} may be something else",),
+                ("kind", "old", "what it does there", "new", "what it does there", "", "scenarios in it once"),
+                rows,
             )
 
 
@@ -201,8 +247,12 @@ def _describe_size_change(old: int, new: int) -> str:
     return "vanished" if not new else "appeared" if not old else "grew" if new > old else "shrank"
 
 
-def _format_ids(ids: tuple[int, int]) -> str:
-    return f"{ids[0]}, {ids[1]}"
+def _format_cell(cell: Cell) -> str:
+    """Return a cell as text; of many scenarios, the first are named."""
+    if isinstance(cell, str):
+        return cell
+    n_more = len(cell) - MAX_TABLE_SCENARIOS
+    return ", ".join(map(format_pair_ids, cell[:MAX_TABLE_SCENARIOS])) + (f" and {n_more} more" if n_more > 0 else "")
 
 
 def _format_parameters(pair: ScenarioPair) -> str:

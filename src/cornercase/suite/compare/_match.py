@@ -11,6 +11,7 @@ from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.exploration._study_critical_set import is_score_independent
 from cornercase.metrics._ending import find_outcome
+from cornercase.metrics._outcome import Impact
 from cornercase.recordings import Recording
 from cornercase.recordings._compare import NUMERIC_ARRAYS, are_bitwise_equal
 from cornercase.study import ScenarioRecord, StudyFile, StudyMeta
@@ -18,7 +19,7 @@ from cornercase.study._import_recordings import IMPORTED_SIMULATOR
 from cornercase.suite._judge import compute_margin
 from cornercase.suite._requirement import Requirement
 from cornercase.suite._verdict import Verdict
-from cornercase.suite.compare._comparison import RunComparison, ScenarioPair
+from cornercase.suite.compare._comparison import RunComparison, ScenarioPair, UnpairedScenarios
 
 # Tolerance in m, s, rad, m/s and m/s² for differences between processors and compilers.
 _ROUNDING_TOLERANCE = 1e-6
@@ -30,7 +31,8 @@ class StudySide:
 
     `rows` are scenarios that have ended; of several with the same parameter values, only the first. `fills_space` tells
     whether a scenario is part of a sample of the space that does not depend on scores. `is_explored` tells whether an
-    optimizer chose scenarios. `scores` are by metric. `is_critical` is empty without a threshold.
+    optimizer chose scenarios. `scores` are by metric. `is_critical` is empty without a threshold. `impacts` are the
+    ego's collisions.
     """
 
     study: StudyFile
@@ -40,6 +42,7 @@ class StudySide:
     scores: Mapping[int, Mapping[str, float]]
     is_critical: Mapping[int, bool]
     verdicts: Mapping[int, Sequence[Verdict]]
+    impacts: Mapping[int, Sequence[Impact]]
 
     @classmethod
     def from_study(
@@ -64,7 +67,7 @@ class StudySide:
             fills |= {
                 row.id: bool(scenario) for row, scenario in zip(searched_rows, is_independent, strict=True) if scenario
             }
-        return cls(study, tuple(first_rows.values()), fills, searched, scores, critical, verdicts)
+        return cls(study, tuple(first_rows.values()), fills, searched, scores, critical, verdicts, study.impacts())
 
     def is_score_independent(self, scenario: int) -> bool:
         """Tell whether a scenario was chosen independently of scores."""
@@ -138,7 +141,16 @@ def _build_pair(
         verdicts=verdicts,
         margins=_changed_margins(verdicts, recordings, ego, others),
         criticality_scores=_pair_scores(old, new, ids, criticality_metrics(old.study) if has_criticality else ()),
+        faults=(_describe_fault(old, ids[0]), _describe_fault(new, ids[1])),
     )
+
+
+def _describe_fault(side: StudySide, scenario: int) -> str:
+    """Say whose fault the ego's first collision is, in the words of a report; empty without one, or if unknown."""
+    impacts = side.impacts.get(scenario, ())
+    if not impacts or impacts[0].fault is None:
+        return ""
+    return impacts[0].fault.describe(side.study.meta.ego, impacts[0].entity)
 
 
 def _pair_scores(
@@ -181,6 +193,21 @@ def _match_verdicts(old: Sequence[Verdict], new: Sequence[Verdict]) -> tuple[tup
     new_by_text = {verdict.requirement: verdict for verdict in new}
     matched = [(verdict, new_by_text[verdict.requirement]) for verdict in old if verdict.requirement in new_by_text]
     return tuple(verdict for verdict, _ in matched), tuple(other for _, other in matched)
+
+
+def describe_unpaired(
+    old: StudySide, new: StudySide, pairs: Sequence[ScenarioPair]
+) -> tuple[UnpairedScenarios, UnpairedScenarios]:
+    """Count the scenarios of each study without a partner, and what is known of them."""
+
+    def count_side(side: StudySide, paired: set[int]) -> UnpairedScenarios:
+        ids = [row.id for row in side.rows if row.id not in paired]
+        critical = sum(side.is_critical.get(scenario, False) for scenario in ids) if side.is_critical else None
+        chosen = sum(not side.is_score_independent(scenario) for scenario in ids)
+        collisions = sum(bool(side.impacts.get(scenario)) for scenario in ids)
+        return UnpairedScenarios(len(ids), chosen, critical, collisions)
+
+    return count_side(old, {pair.ids[0] for pair in pairs}), count_side(new, {pair.ids[1] for pair in pairs})
 
 
 def choose_compared_metrics(old: StudyFile, new: StudyFile, metrics: Sequence[str] | None) -> tuple[str, ...]:

@@ -146,14 +146,11 @@ def test_unpaired_samples(
     for name, before in facts[0].items():
         after = facts[1][name]
         if name == "critical" and sets is not None:
-            p, shift = sets.p, sets.change.value
-            direction = change_direction(None, shift)
-            results.append(
-                ChangeTest(name, CRITICAL_SETS_METHOD, len(before), len(after), None, p, p, direction, shift)
-            )
-            continue
-        table = np.array([[facts_.sum(), (~facts_).sum()] for facts_ in (before, after)], dtype=np.int64)
-        p, shift = float(fisher_exact(table).pvalue), float(after.mean() - before.mean())
+            method, p, shift = CRITICAL_SETS_METHOD, sets.p, sets.change.value
+        else:
+            table = np.array([[facts_.sum(), (~facts_).sum()] for facts_ in (before, after)], dtype=np.int64)
+            method, p = "exact Fisher", float(fisher_exact(table).pvalue)
+            shift = float(after.mean() - before.mean())
         direction = change_direction(None, shift)
-        results.append(ChangeTest(name, "exact Fisher", len(before), len(after), None, p, p, direction, shift))
+        results.append(ChangeTest(name, method, len(before), len(after), None, p, p, direction, shift))
     return results

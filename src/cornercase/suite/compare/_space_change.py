@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from cornercase._common.clopper_pearson import clopper_pearson_interval
 from cornercase._common.errors import InputError
-from cornercase.evidence import SetDifference
+from cornercase._common.typing import BoolArray
+from cornercase.evidence import Estimate, SetDifference
 from cornercase.evidence._proportions import proportion_interval
 from cornercase.exploration._study_critical_set import estimate_critical_set
 from cornercase.study import StudyFile
@@ -32,7 +34,8 @@ def estimate_space_change(old: StudySide, new: StudySide, pairs: tuple[ScenarioP
         if pair.is_critical is not None and old.fills_space[pair.ids[0]] and new.fills_space[pair.ids[1]]
     ]
     critical = np.array([pair.is_critical for pair in independent], dtype=np.bool_).reshape(-1, 2)
-    gained = lost = None
+    gained = lost = shares = change = None
+    counts = 0, 0
     reason = (
         f"only {len(independent)} scenarios ran with both and were chosen independently of"
         f" scores; {MIN_SAMPLE_SIZE} are needed"
@@ -41,13 +44,41 @@ def estimate_space_change(old: StudySide, new: StudySide, pairs: tuple[ScenarioP
         reason = ""
         gained = proportion_interval(int((critical[:, 1] & ~critical[:, 0]).sum()), len(independent))
         lost = proportion_interval(int((critical[:, 0] & ~critical[:, 1]).sum()), len(independent))
+        shares = _shares_of(critical[:, 0], critical[:, 1])
+        counts = len(independent), len(independent)
+        change = _difference(
+            (int((critical[:, 1] & ~critical[:, 0]).sum()), len(independent)),
+            (int((critical[:, 0] & ~critical[:, 1]).sum()), len(independent)),
+        )
+    else:
+        old_alone, new_alone = (
+            np.array([side.is_critical[scenario] for scenario in side.space_filling_ids()], dtype=np.bool_)
+            for side in (old, new)
+        )
+        if min(len(old_alone), len(new_alone)) >= MIN_SAMPLE_SIZE:
+            shares, counts = _shares_of(old_alone, new_alone), (len(old_alone), len(new_alone))
+            change = _difference((int(new_alone.sum()), len(new_alone)), (int(old_alone.sum()), len(old_alone)))
     if len(pairs) == len(old.rows) == len(new.rows) and all(pair.run == "the same" for pair in pairs):
         sets, sets_reason = None, "both studies hold the same scenarios with the same results"
     else:
         sets, sets_reason = _compare_critical_sets(old.study, new.study)
     parameters = old.study.space.parameters
     names, units = tuple(pair.name for pair in parameters), tuple(pair.unit for pair in parameters)
-    return SpaceChange(len(independent), gained, lost, reason, sets, sets_reason, names, units)
+    return SpaceChange(len(independent), gained, lost, reason, sets, sets_reason, names, units, shares, change, counts)
+
+
+def _shares_of(old: BoolArray, new: BoolArray) -> tuple[Estimate, Estimate]:
+    return proportion_interval(int(old.sum()), len(old)), proportion_interval(int(new.sum()), len(new))
+
+
+def _difference(more: tuple[int, int], less: tuple[int, int]) -> Estimate:
+    """Estimate the difference of two proportions, each given as hits and draws, with a 90 % interval.
+
+    Each proportion lies in its 95 % interval of Clopper and Pearson, so with at least 90 % both do (Bonferroni), even
+    if they are dependent, and their difference lies between the differences of the ends.
+    """
+    (low, high), (other_low, other_high) = (clopper_pearson_interval(*proportion, 0.025) for proportion in (more, less))
+    return Estimate(more[0] / more[1] - less[0] / less[1], low - other_high, high - other_low)
 
 
 def _compare_critical_sets(old: StudyFile, new: StudyFile) -> tuple[SetDifference | None, str]:

@@ -118,7 +118,16 @@ class ReplayControls {
     this.expected.setAttribute("aria-pressed", String(store.beside === null && this.panel.expectedRun() !== null));
     this.neighbour.setAttribute("aria-pressed", String(store.beside !== null));
     const compare = "Compare with the nearest scenario that ended otherwise (N)";
-    this.neighbour.title = store.beside === null ? compare : "Show one scenario only (N)";
+    const same = store.contents.called ? null : sameVerdict(store);
+    // Where all passed, or all failed, there is no neighbour across that border.
+    this.neighbour.disabled = same !== null && store.beside === null;
+    this.neighbour.textContent = same === null ? "Neighbour" : `Neighbour: all ${same}`;
+    this.neighbour.title =
+      store.beside !== null
+        ? "Show one scenario only (N)"
+        : same === null
+          ? compare
+          : `The verdict on all scenarios is ${same}, so none has another one`;
   }
 }
 

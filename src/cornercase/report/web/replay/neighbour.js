@@ -7,7 +7,11 @@ function neighbourOf(store, id, has) {
   const { scenarios, parameters } = store.contents;
   const row = store.rows.get(id);
   if (row === undefined) return null;
+  if (sameVerdict(store) !== null) return null;
+  const verdictOf = (k) => store.contents.verdicts?.[scenarios.id[k]]?.state ?? null;
   const tests = [
+    // Of a suite's run, one with another verdict.
+    (k) => differs(verdictOf(k), verdictOf(row)),
     (k) => known(scenarios.outcome, k, row) && scenarios.outcome[k] !== scenarios.outcome[row],
     (k) => store.options.aspect !== null && differs(store.kindOf(k), store.kindOf(row)),
     (k) => scenarios.critical[k] !== scenarios.critical[row],
@@ -33,6 +37,18 @@ function neighbourOf(store, id, has) {
     return scenarios.id[found.reduce((best, k) => (ways.get(k) < ways.get(best) ? k : best))];
   }
   return null;
+}
+
+// The verdict of all scenarios of a suite's run that ran, if it is the same; else null.
+function sameVerdict(store) {
+  const { verdicts, scenarios } = store.contents;
+  const states = new Set();
+  for (let k = 0; k < store.n; k++) {
+    const state = verdicts?.[scenarios.id[k]]?.state;
+    if (!scenarios.failed[k]) states.add(state ?? null);
+  }
+  const [state] = states;
+  return states.size === 1 && state !== null ? state : null;
 }
 
 function known(column, ...rows) {

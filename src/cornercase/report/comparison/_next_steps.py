@@ -1,0 +1,85 @@
+"""What an engineer does next after a comparison: what to fix, what to look at, and what was not tested."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Final
+
+from cornercase._common.text.sanitize import quote_name
+from cornercase.report.comparison._replayed_pairs import format_ids
+from cornercase.study import StudyFile
+from cornercase.suite import Comparison, ScenarioPair
+
+_MAX_NAMED: Final = 3
+
+
+def describe_next_steps(comparison: Comparison, new: StudyFile) -> Iterator[tuple[str, tuple[str, ...]]]:
+    """Yield questions with their answers; scenarios are in brackets."""
+    yield "What to fix?", tuple(_describe_fixes(comparison, new))
+    yield "What was not tested?", tuple(_describe_gaps(comparison))
+
+
+def _describe_fixes(comparison: Comparison, new: StudyFile) -> Iterator[str]:
+    hits = [pair for pair in comparison.pairs if pair.both_ran and pair.collides[1]]
+    lost = [pair for pair in hits if not pair.collides[0]]
+    impacts = {pair.ids: new.digest(pair.ids[1]).outcomes[0].impacts for pair in hits}
+
+    def hardest(pairs: list[ScenarioPair]) -> list[ScenarioPair]:
+        def speed(pair: ScenarioPair) -> float:
+            speeds = [impact.speed for impact in impacts[pair.ids] if math.isfinite(impact.speed)]
+            return max(speeds, default=0.0)
+
+        return sorted(pairs, key=lambda pair: (-speed(pair), pair.ids))
+
+    for pair in hardest(lost or hits)[:_MAX_NAMED]:
+        impact = impacts[pair.ids][0]
+        fault = "" if impact.fault is None else f"; {impact.fault.describe(new.meta.ego, impact.entity)}"
+        reasons = f": {', '.join(impact.fault.reasons)}" if impact.fault is not None and impact.fault.reasons else ""
+        yield (
+            f"{'A new collision' if lost else 'A collision with both versions'} ({format_ids(pair.ids)}), with"
+            f" {quote_name(impact.entity)} at {impact.time:.3g} s and a relative speed of {impact.speed:.2g}"
+            f" m/s{fault}{reasons}."
+        )
+    others = [finding for finding in comparison.worse if finding.kind != "collision" and finding.ids]
+    # Scores alone are named only where nothing else is worse.
+    grave = [finding for finding in others if finding.kind != "score"]
+    if not lost:
+        for finding in grave or others[:1]:
+            yield f"{finding.change_text[0].upper()}{finding.change_text[1:]} ({finding.format_scenario_ids()})."
+    if not hits and not comparison.worse:
+        yield "Nothing is worse, and nothing that both ran collides with the new version."
+    elif not lost and not comparison.worse:
+        yield "Nothing is worse; these collisions were there before."
+    if hits or comparison.worse:
+        yield (
+            "To send one to somebody: cornercase replay"
+            f" {quote_name(comparison.names[1])} {_first_to_send(comparison, hardest(lost or hits))} -o run.html"
+        )
+
+
+def _first_to_send(comparison: Comparison, hits: list[ScenarioPair]) -> int:
+    ids = [pair.ids for pair in hits] or [ids for finding in comparison.worse for ids in finding.ids]
+    return ids[0][1] if ids else 1
+
+
+def _describe_gaps(comparison: Comparison) -> Iterator[str]:
+    failed = comparison.count_pairs("in neither")
+    n_in_one = comparison.count_pairs("not in one")
+    if any(comparison.n_unmatched):
+        old, new = comparison.n_unmatched
+        names = comparison.names
+        yield f"{old} scenarios of {names[0]} with the new version, and {new} of {names[1]} with the old one."
+    if failed or n_in_one:
+        yield f"{failed} scenarios could be run with neither version, and {n_in_one} with one only."
+    n_pairs = comparison.space.pairs if comparison.space is not None else 0
+    if n_pairs:
+        # With this share, all of n random draws miss the region with a probability of 5 %.
+        share = 1.0 - 0.05 ** (1.0 / n_pairs)
+        yield (
+            f"What changed only in a small part of the space: of {n_pairs} scenarios that fill it, none need lie in a"
+            f" region of less than {100.0 * share:.1f} % of the space (with a probability of more than 5 %)."
+        )
+    else:
+        yield "How much of the space changed: no scenarios that fill the space ran with both versions."
+    yield "Anything outside of the ranges of the parameters, which are listed below."

@@ -1,0 +1,179 @@
+"""Pairs of scenarios that the page of a comparison replays, and the instant at which each shows its difference."""
+
+from __future__ import annotations
+
+import base64
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final, TypeAlias
+
+import numpy as np
+from markupsafe import Markup, escape
+
+from cornercase._common.typing import FloatArray
+from cornercase.recordings import Recording
+from cornercase.recordings._rounded import encode_rounded
+from cornercase.report._event_payload import find_events_of_scenario
+from cornercase.study import StudyFile
+from cornercase.suite import Comparison, ScenarioPair
+
+# Recordings beyond this size are left out; the examples and what the verdict names come first.
+_MAX_CHARACTERS: Final = 8_000_000
+# Distance in m between both runs of an entity from which they are told apart.
+_MIN_DISTANCE: Final = 0.1
+# Scenarios that a list names before the rest is folded.
+_MAX_SHOWN: Final = 40
+# A list of scenarios in a sentence, as "(4, 9→12 and 3 more)".
+_LISTED: Final = re.compile(r"(?<=\()\d+(?:→\d+)?(?:, \d+(?:→\d+)?)*(?=\)| and \d+ more\))")
+
+Ids: TypeAlias = tuple[int, int]
+
+
+@dataclass
+class ReplayedPairs:
+    """Pairs with recordings on the page; each has two numbers there, since ids of both studies overlap."""
+
+    pairs: list[ScenarioPair] = field(default_factory=list)
+    recordings: list[Recording] = field(default_factory=list)
+    texts: dict[int, str] = field(default_factory=dict)  # encoded recordings by number
+    events: dict[str, dict[str, Any]] = field(default_factory=dict)  # by number
+    differences: dict[str, dict[str, Any]] = field(default_factory=dict)  # instant and words, by the old number
+    # Number of the old version's scenario; that of the new version is the next one.
+    numbers_by_ids: dict[Ids, int] = field(default_factory=dict)
+    n_left_out: int = 0
+
+    def link(self, ids: Ids, text: str) -> Markup:
+        """Render the name of a scenario as a link to its replay; as text if the page has no recording of it."""
+        number = self.numbers_by_ids.get(ids)
+        if number is None:
+            return escape(text)
+        return Markup('<a class="pair-link" href="#pair={}" data-old="{}" title="Play scenario {}">{}</a>').format(
+            ",".join(map(str, ids)), number, text, text
+        )
+
+    def link_all(self, all_ids: Sequence[Ids], limit: int = _MAX_SHOWN) -> Markup:
+        """Render many scenarios as links; the rest of a long list is folded."""
+        links = [self.link(ids, format_ids(ids)) for ids in all_ids]
+        text = Markup(", ").join(links[:limit])
+        if len(links) <= limit:
+            return text
+        return Markup("{} <details><summary>and {} more</summary>{}</details>").format(
+            text, len(links) - limit, Markup(", ").join(links[limit:])
+        )
+
+    def link_sentence(self, sentence: str) -> Markup:
+        """Escape a sentence, and link the scenarios that it lists in brackets."""
+        by_name = {format_ids(pair.ids): pair.ids for pair in self.pairs}
+
+        def link_list(match: re.Match[str]) -> str:
+            names = match[0].split(", ")
+            return str(Markup(", ").join(self.link(by_name.get(name, (0, 0)), name) for name in names))
+
+        return Markup(_LISTED.sub(link_list, str(escape(sentence))))
+
+
+def read_replayed_pairs(comparison: Comparison, old: StudyFile, new: StudyFile) -> ReplayedPairs:
+    """Read the recordings of all pairs that differ, the most important ones first, up to about 8 MB."""
+    replayed, size = ReplayedPairs(), 0
+    for pair in _order_pairs(comparison):
+        if size > _MAX_CHARACTERS:
+            replayed.n_left_out += 1
+            continue
+        number = 2 * len(replayed.pairs) + 1
+        recordings: list[Recording | None] = []
+        for offset, study, scenario, ran in zip((0, 1), (old, new), pair.ids, _ran(pair), strict=True):
+            recordings.append(study.recording(scenario) if ran else None)
+            if (recording := recordings[-1]) is not None:
+                packed = encode_rounded(recording, _read_courses(study, scenario, comparison))
+                text = base64.b64encode(packed).decode()
+                replayed.texts[number + offset] = text
+                replayed.events[str(number + offset)] = find_events_of_scenario(study, scenario, recording)
+                replayed.recordings.append(recording)
+                size += len(text)
+        replayed.pairs.append(pair)
+        replayed.numbers_by_ids[pair.ids] = number
+        replayed.differences[str(number)] = _describe_difference(pair, recordings[0], recordings[1], comparison)
+    return replayed
+
+
+def _order_pairs(comparison: Comparison) -> Iterator[ScenarioPair]:
+    """Yield each pair that differs once: examples, then those of the verdict, then the others."""
+    by_ids = {pair.ids: pair for pair in comparison.pairs}
+    named = [ids for finding in (*comparison.worse, *comparison.better) for ids in finding.ids]
+    differing = [pair.ids for pair in comparison.pairs if pair.run in ("otherwise", "not in one", "within rounding")]
+    examples = [example.pair.ids for example in comparison.examples]
+    for ids in dict.fromkeys((*examples, *named, *differing)):
+        if any(_ran(by_ids[ids])):
+            yield by_ids[ids]
+
+
+def _ran(pair: ScenarioPair) -> tuple[bool, bool]:
+    return (True, True) if pair.both_ran else (pair.errors[0] is None, pair.errors[1] is None)
+
+
+def _read_courses(study: StudyFile, scenario: int, comparison: Comparison) -> dict[str, FloatArray]:
+    names = [score.metric for score in comparison.scores]
+    return {name: comparison.metrics[name].clip_course(study.course(scenario, name)) for name in names}
+
+
+def _describe_difference(
+    pair: ScenarioPair, old: Recording | None, new: Recording | None, comparison: Comparison
+) -> dict[str, Any]:
+    """Return the instant that shows the difference of a pair, and a sentence on it.
+
+    That is the collision that only one version has; else the replay's own most critical instant, in the version that is
+    more critical.
+    """
+    if old is None or new is None:
+        return {"side": 0 if new is None else 1, "text": "One version only could run it."}
+    part = _find_parting(old, new)
+    parting = "Both runs are alike." if part is None else f"Both runs part at {part:.4g} s, by more than 0.1 m."
+    if pair.collides[0] != pair.collides[1]:
+        side = int(pair.collides[1])
+        version, other = (("old", "new"), ("new", "old"))[side]
+        collision = next(item for item in (old, new)[side].collisions)
+        fault = f", {pair.faults[side]}" if pair.faults[side] else ""
+        return {
+            "side": side,
+            "time": round(collision.time, 3),
+            "text": f"{parting} Shown is {collision.time:.4g} s, when the {version} version collides{fault}; the"
+            f" {other} one does not.",
+        }
+    side = int(_is_more_critical_now(pair, comparison.metrics))
+    version = ("old", "new")[side]
+    return {
+        "side": side,
+        "text": f"{parting} Shown is the most critical instant of the {version} version, which is the more critical.",
+    }
+
+
+def _is_more_critical_now(pair: ScenarioPair, metrics: Mapping[str, Any]) -> bool:
+    """Tell whether the new version is the more critical one, by the first metric whose score changed."""
+    for name, (before, after) in pair.scores.items():
+        if before != after:
+            return bool(metrics[name].to_minimize(after) < metrics[name].to_minimize(before))
+    return False
+
+
+def _find_parting(old: Recording, new: Recording) -> float | None:
+    """Return the first instant in s at which an entity is more than 0.1 m away from where it was; None without one."""
+    names = [name for name in old.names if name in new.names]
+    end = min(old.time[-1], new.time[-1])
+    times = old.time[old.time <= end]
+    distances = np.zeros(len(times))
+    for name in names:
+        i, j = old.entity_index(name), new.entity_index(name)
+        steps = [
+            np.interp(times, recording.time, values[k]) - getattr(old, axis)[i, : len(times)]
+            for axis in ("x", "y")
+            for recording, values, k in ((new, getattr(new, axis), j),)
+        ]
+        distances = np.fmax(distances, np.hypot(*steps))
+    indices = np.flatnonzero(distances > _MIN_DISTANCE)
+    return float(times[indices[0]]) if len(indices) else None
+
+
+def format_ids(ids: Ids) -> str:
+    """Return the ids of a scenario in both studies as text: `"4"`, or `"4→7"` if they differ."""
+    return str(ids[0]) if ids[0] == ids[1] else f"{ids[0]}→{ids[1]}"
