@@ -182,6 +182,67 @@ def test_a_changed_outcome_is_said(study, tmp_path, monkeypatch):
     assert 'class="verdict changed"' in page
 
 
+@pytest.fixture(scope="module")
+def unmeasured(study) -> Path:
+    """The same scenarios, in which the ego is measured against the truck only, and touches the pedestrian."""
+    path = study.parent / "unmeasured.db"
+    logical = cc.LogicalScenario.read(X / "x_intersection.xosc", X / "x_intersection.space.xosc")
+    continuous = replace(logical, space=logical.space.as_continuous())
+    cc.explore(continuous, path, ego="Ego", other="Truck", metrics=["wttc"], optimizer="sobol", budget=64, critical=0.2)
+    return path
+
+
+def ids_by_contact(study: Path) -> dict[bool, list[int]]:
+    """Ids of the scenarios in which the ego touches the pedestrian, and of the others."""
+    with StudyFile.open(study) as opened:
+        hits = {row: any("Ego" in hit.entities for hit in hits) for row, hits in opened.collisions().items()}
+    return {touches: [row for row, hit in hits.items() if hit == touches] for touches in (True, False)}
+
+
+def test_a_contact_that_the_study_does_not_measure_is_named(unmeasured, tmp_path):
+    touching = ids_by_contact(unmeasured)[True][0]
+    page = write_test_cards(unmeasured, tmp_path / "cards.html", ids=[touching]).read_text(encoding="utf-8")
+    verdict = re.search(r'class="verdict \w+">(.*?)</p>', page)
+    assert verdict
+    assert "contact with Pedestrian (not measured in the study)" in verdict[1]
+    assert "no contact" not in verdict[1]
+    before, after, _ = cells(page, "contact")
+    assert (before, after) == ("none measured", "none measured")
+    before, after, _ = cells(page, "contact, not measured")
+    assert before.startswith("Pedestrian, ")
+    assert after.startswith("Pedestrian, ")
+    assert "In the simulation Ego touches Pedestrian, which the study does not measure" in page
+    assert re.search(r'<th scope="row">Pedestrian<br>', page), "where it starts"
+
+
+def test_a_card_without_such_a_contact_says_nothing_of_it(unmeasured, study, tmp_path):
+    without = write_test_cards(unmeasured, tmp_path / "a.html", ids=ids_by_contact(unmeasured)[False][:1])
+    measured = write_test_cards(study, tmp_path / "b.html", ids=ids_by_contact(study)[True][:1])
+    for page in (without, measured):
+        assert "not measure" not in page.read_text(encoding="utf-8")
+
+
+def test_a_rounded_run_that_touches_an_entity_more_does_not_end_as_before(unmeasured):
+    ids = ids_by_contact(unmeasured)
+    with StudyFile.open(unmeasured) as opened:
+        values = {row.id: row.values for row in opened.finished_rows()}
+        touches, does_not = (stored_run(opened, ids[key][0], values[ids[key][0]]) for key in (True, False))
+    assert not touches.meeting.collides
+    assert not does_not.meeting.collides
+    assert not replace(touches, is_critical=None).ends_like(replace(does_not, is_critical=None))
+    assert touches.ends_like(touches)
+
+
+def test_the_contact_of_the_rounded_run_alone_is_named(unmeasured, tmp_path, monkeypatch):
+    """With steps of 30 many a scenario ends otherwise."""
+    coarse = SettableQuantity("m", 30.0)
+    monkeypatch.setattr("cornercase.report.cards._test_cards.find_settable_quantity", lambda parameter, _: coarse)
+    ids = ids_by_contact(unmeasured)[True]
+    page = write_test_cards(unmeasured, tmp_path / "cards.html", ids=ids).read_text(encoding="utf-8")
+    assert "in the study contact with Pedestrian (not measured in the study)" in page
+    assert "rounded no contact" in page
+
+
 def test_what_starts_what_is_in_words_and_numbers_of_the_scenario():
     scenario = ScenarioFile.read(EXAMPLES / "t_intersection" / "t_intersection.xosc")
     values = {"ego_sync_s": 12.0, "c_start_time": 3.6, "c_routing_distance": 67.4}
@@ -252,7 +313,7 @@ def test_a_program_that_a_study_names_is_not_started(study):
 def test_bad_input_gets_a_sentence(study, tmp_path, options, expected):
     told = cornercase("report", study, *options, "-o", tmp_path / "cards.html")
     assert told.returncode == 2
-    assert expected in told.stderr
+    assert expected in " ".join(told.stderr.split())
     assert "Traceback" not in told.stderr
 
 

@@ -11,6 +11,13 @@ from cornercase._common.errors import InputError
 from cornercase._common.text.sanitize import escape_control_characters, quote_name, shorten
 from cornercase.report._road_drawing import add_road_margin, find_road_outline
 from cornercase.report.cards._condition_texts import format_speed
+from cornercase.report.cards._contact_texts import (
+    ask_about_unmeasured,
+    clean,
+    describe_contacts,
+    list_contacts,
+    list_names,
+)
 from cornercase.report.cards._quantity import SettableQuantity
 from cornercase.report.cards._rounded_runs import CardRun, RoundedRun
 from cornercase.report.cards._sketch import draw_course, draw_meeting
@@ -28,8 +35,9 @@ _MAX_PARAMETERS: Final = 7
 _MAX_PARTIES: Final = 4
 _MAX_TRIGGERS: Final = 6
 _MAX_SCORES: Final = 3
+_MAX_REQUIREMENTS: Final = 4
+_USUAL_RESULTS: Final = 11
 _MAX_TRIGGER_TEXT: Final = 160
-_MAX_NAME: Final = 26
 _COURSE_MM: Final = 128.0
 _MEETING_MM: Final = 52.0
 # Heights in mm: of the drawings, of all that varies from card to card, of a row of each table.
@@ -75,19 +83,22 @@ def fill_card(
     parties, more_parties = _party_rows(poses, study, source)
     rows, trigger_note = _trigger_rows(scenario, source.rounded.values)
     fixed, verdict = _fixed_parameters(meta.space.parameters, run), _verdict(source)
-    further, accept = _further_tolerances(parties), _acceptance(study, meeting.other)
-    file = _clean(meta.files[source.scenario_id - 1] if meta.suite else meta.file_name, 40)
+    results = _result_rows(study, source)
+    further, accept = _further_tolerances(parties), _acceptance(study, source)
+    file = clean(meta.files[source.scenario_id - 1] if meta.suite else meta.file_name, 40)
     notes = (
         fixed, more_parameters, more_parties, further, len(verdict["text"]) > _LINE, len(further) > _LINE - 20,
         len(file) + len(study.path.name) > _LINE // 2,
     )  # fmt: skip
-    n_lines = sum(map(bool, notes)) + sum(math.ceil(len(text) / _ACCEPTANCE_LINE) for text in accept)
+    # A row of the results is a little higher than a line.
+    n_lines = sum(map(bool, notes)) + math.ceil(1.2 * max(0, len(results) - _USUAL_RESULTS))
+    n_lines += sum(math.ceil(len(text) / _ACCEPTANCE_LINE) for text in accept)
     triggers, height = _fit(parameters, parties, rows, n_lines - _USUAL_LINES)
     if len(triggers) < len(rows):
         trigger_note = f"And {len(rows) - len(triggers)} more, which the scenario file lists."
     return {
         "id": source.scenario_id,
-        "kept_as": _clean(f"Kept as {source.role}: {source.why}.", 170) if source.role else "",
+        "kept_as": clean(f"Kept as {source.role}: {source.why}.", 170) if source.role else "",
         "file": file,
         "verdict": verdict,
         "parameters": parameters,
@@ -102,23 +113,18 @@ def fill_card(
         "meeting": draw_meeting(recording, meta.ego, meeting, road, _MEETING_MM, height),
         "no_road": escape_control_characters(no_road),
         "at_meeting": "contact" if meeting.collides else "closest approach",
-        "results": _result_rows(study, source),
+        "results": results,
         "has_rounded": source.rounded.run is not None,
         "accept": accept,
-        "other": _clean(meeting.other),
         "drawn": "the rounded scenario" if source.rounded.run is not None else "the run in the study",
     }
-
-
-def _clean(text: str, length: int = _MAX_NAME) -> str:
-    return shorten(escape_control_characters(text), length)
 
 
 def _verdict(source: CardSource) -> dict[str, str]:
     """Return what is known of the rounded scenario, and how it is to be shown."""
     rounded = source.rounded
     if rounded.run is None:
-        return {"kind": "unknown", "text": f"The rounded scenario was not run again: {_clean(rounded.reason, 200)}."}
+        return {"kind": "unknown", "text": f"The rounded scenario was not run again: {clean(rounded.reason, 200)}."}
     how = _describe_end(rounded.run)
     if rounded.keeps_outcome:
         text = f"The rounded scenario was run again and ends as the study's: {how}."
@@ -132,7 +138,7 @@ def _verdict(source: CardSource) -> dict[str, str]:
 
 
 def _describe_end(run: CardRun) -> str:
-    contact = f"contact with {quote_name(run.meeting.other)}" if run.meeting.collides else "no contact"
+    contact = describe_contacts(run.meeting)
     if run.is_critical is None:
         return contact
     return f"{contact}, {'critical' if run.is_critical else 'not critical'}"
@@ -149,9 +155,9 @@ def _parameter_rows(
         after = parameter.extract_value(source.rounded.values)
         rows.append(
             [
-                _clean(parameter.name),
-                _clean(append_unit(_format_plain(before), quantity.unit), 27),
-                _clean(_format_setting(after, quantity), 27),
+                clean(parameter.name),
+                clean(append_unit(_format_plain(before), quantity.unit), 27),
+                clean(_format_setting(after, quantity), 27),
                 _format_change(before, after, quantity),
                 _parameter_tolerance(parameter, quantity),
             ]
@@ -162,7 +168,7 @@ def _parameter_rows(
 def _fixed_parameters(parameters: Sequence[Parameter], run: CardRun) -> str:
     """Return the parameters that have one value only, in a line."""
     texts = [
-        f"{_clean(parameter.name)} {_clean(_format_plain(parameter.extract_value(run.values)), 24)}"
+        f"{clean(parameter.name)} {clean(_format_plain(parameter.extract_value(run.values)), 24)}"
         for parameter in parameters
         if parameter.size == 1
     ]
@@ -219,9 +225,10 @@ def _format_change(before: Value, after: Value, quantity: SettableQuantity) -> s
 
 
 def _party_rows(poses: Sequence[StartPose], study: StudyFile, source: CardSource) -> tuple[list[dict[str, str]], int]:
-    """Return where each party starts: the ego, the entity that it meets, the others of the study, and the rest."""
+    """Return where each party starts: the ego, the entity that it meets, what else it touches, and the rest."""
     meta, meeting = study.meta, source.run.meeting
-    rank = {name: k for k, name in enumerate(dict.fromkeys((meta.ego, meeting.other, *meta.others)))}
+    touched = (name for name, _ in meeting.further_contacts + meeting.unmeasured_contacts)
+    rank = {name: k for k, name in enumerate(dict.fromkeys((meta.ego, meeting.other, *touched, *meta.others)))}
     ordered = sorted(poses, key=lambda pose: rank.get(pose.name, len(rank)))
     rows = []
     for pose in ordered:
@@ -229,7 +236,7 @@ def _party_rows(poses: Sequence[StartPose], study: StudyFile, source: CardSource
         tolerances = find_tolerances(pose.object_type, is_ego=pose.name == meta.ego, crosses=crosses)
         rows.append(
             {
-                "name": _clean(pose.name, 16),
+                "name": clean(pose.name, 16),
                 "kind": pose.object_type + (f" ({tolerances.target})" if tolerances else ""),
                 "speed": f"{pose.speed * 3.6:.1f} km/h ({pose.speed:.2f} m/s)",
                 "place": _format_road_position(pose),
@@ -253,7 +260,7 @@ def _format_road_position(pose: StartPose) -> str:
     if not pose.road:
         return "on no lane, or unknown"
     lane, offset = pose.lane.replace("-", "−"), _format_fixed(pose.offset, 1)
-    return f"road {_clean(pose.road, 12)}, lane {lane}, s {_format_fixed(pose.s, 1)} m, offset {offset} m"
+    return f"road {clean(pose.road, 12)}, lane {lane}, s {_format_fixed(pose.s, 1)} m, offset {offset} m"
 
 
 def _format_fixed(value: float, digits: int) -> str:
@@ -268,9 +275,9 @@ def _trigger_rows(scenario: ScenarioFile | None, values: Mapping[str, Value]) ->
     try:
         triggers = list_movements(scenario, values)
     except InputError as error:
-        return [], _clean(f"Not known: {error}", _MAX_TRIGGER_TEXT)
+        return [], clean(f"Not known: {error}", _MAX_TRIGGER_TEXT)
     rows = [
-        (_clean(item.who, 24), _clean(item.what, _MAX_TRIGGER_TEXT), _clean(item.when, _MAX_TRIGGER_TEXT))
+        (clean(item.who, 24), clean(item.what, _MAX_TRIGGER_TEXT), clean(item.when, _MAX_TRIGGER_TEXT))
         for item in triggers
     ]
     return rows, "" if rows else "No event of the storyboard moves anybody."
@@ -278,21 +285,24 @@ def _trigger_rows(scenario: ScenarioFile | None, values: Mapping[str, Value]) ->
 
 def _result_rows(study: StudyFile, source: CardSource) -> list[tuple[str, str, str]]:
     """Return rows of what happened: name, in the study, rounded."""
-    columns = [_results(study, run) if run is not None else {} for run in (source.original, source.rounded.run)]
+    runs = source.original, source.rounded.run
+    contacts = list_contacts([None if run is None else run.meeting for run in runs])
+    columns = [
+        {} if run is None else contact | _results(study, run) for run, contact in zip(runs, contacts, strict=True)
+    ]
     names = list(dict.fromkeys(name for column in columns for name in column))
     return [(name, columns[0].get(name, _NO_CELL), columns[1].get(name, _NO_CELL)) for name in names]
 
 
 def _results(study: StudyFile, run: CardRun) -> dict[str, str]:
     meeting, meta = run.meeting, study.meta
-    rows = {"contact": f"with {_clean(meeting.other, 20)}" if meeting.collides else "none"}
-    rows["smallest gap"] = "0 m" if meeting.collides else f"{meeting.gap:.2f} m to {_clean(meeting.other, 12)}"
+    rows = {"smallest gap": "0 m" if meeting.collides else f"{meeting.gap:.2f} m to {clean(meeting.other, 12)}"}
     rows["time of that"] = f"{meeting.time:.2f} s"
-    rows[f"speed of {_clean(meta.ego, 16)}"] = format_speed(meeting.speed)
-    rows[f"speed of {_clean(meeting.other, 16)}"] = format_speed(meeting.other_speed)
+    rows[f"speed of {clean(meta.ego, 16)}"] = format_speed(meeting.speed)
+    rows[f"speed of {clean(meeting.other, 16)}"] = format_speed(meeting.other_speed)
     rows["relative speed"] = format_speed(meeting.relative_speed)
     if meeting.sides is not None:
-        names = _clean(meta.ego, 16), _clean(meeting.other, 16)
+        names = clean(meta.ego, 16), clean(meeting.other, 16)
         rows["sides that touch"] = ", ".join(
             f"{name} {side or '?'}" for name, side in zip(names, meeting.sides, strict=True)
         )
@@ -300,18 +310,30 @@ def _results(study: StudyFile, run: CardRun) -> dict[str, str]:
         rows["impact point x, y"] = ", ".join(_format_fixed(value, 2) for value in meeting.point) + " m"
     for metric in study.metrics()[:_MAX_SCORES]:
         if metric.name in run.scores and math.isfinite(run.scores[metric.name]):
-            rows[_clean(metric.name)] = append_unit(f"{run.scores[metric.name]:.3g}", metric.unit)
+            rows[clean(metric.name)] = append_unit(f"{run.scores[metric.name]:.3g}", metric.unit)
     return rows
 
 
-def _acceptance(study: StudyFile, other: str) -> list[str]:
-    """Return what a run has to show: the requirements of a suite, or else no contact and not critical."""
+def _acceptance(study: StudyFile, source: CardSource) -> list[str]:
+    """Return what a run has to show: the requirements of a suite, or else no contact and not critical.
+
+    What touches the ego without being measured is left to those who test: the study does not judge it.
+    """
+    meta = study.meta
+    runs = [run for run in (source.original, source.rounded.run) if run is not None]
+    text = ask_about_unmeasured([run.meeting for run in runs], meta.ego)
+    return [*_required(study), *([text] if text else [])]
+
+
+def _required(study: StudyFile) -> list[str]:
     meta = study.meta
     if meta.requirements:
-        return [_clean(f"Requirement: {text}", 160) for text in meta.requirements[:4]]
-    texts = [f"No contact of {_clean(meta.ego)} with {' or '.join(_clean(name) for name in meta.others[:4])}."]
+        texts = [clean(f"Requirement: {text}", 160) for text in meta.requirements[:_MAX_REQUIREMENTS]]
+        n_more = len(meta.requirements) - len(texts)
+        return [*texts, *([f"And {n_more} more requirements, which the report lists."] if n_more else [])]
+    texts = [f"No contact of {quote_name(clean(meta.ego))} with {list_names(meta.others, 'or')}."]
     criterion = study.criterion
     if criterion is not None and meta.condition != "collision":
         critical = format_criterion_with_signs(criterion, study.objective.label)
-        texts.append(f"The run is not critical as the study defines it: {_clean(critical, 120)}.")
+        texts.append(f"The run is not critical as the study defines it: {clean(critical, 120)}.")
     return texts

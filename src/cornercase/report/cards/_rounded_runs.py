@@ -39,11 +39,15 @@ class CardRun:
     is_critical: bool | None
 
     def ends_like(self, other: CardRun) -> bool:
-        """Return whether both end alike: a contact with the same entity or none, and critical or not."""
+        """Return whether both end alike: contacts with the same entities or none, and critical or not.
+
+        The first of the measured contacts has to be with the same entity, too.
+        """
         same_contact = self.meeting.collides == other.meeting.collides and (
             not self.meeting.collides or self.meeting.other == other.meeting.other
         )
-        return same_contact and self.is_critical == other.is_critical
+        same_entities = self.meeting.entities_hit == other.meeting.entities_hit
+        return same_contact and same_entities and self.is_critical == other.is_critical
 
 
 @dataclass(frozen=True)
