@@ -276,7 +276,9 @@ def test_cards_are_of_the_kept_scenarios_and_the_same_each_time(study, tmp_path)
     page = (tmp_path / "a.html").read_text(encoding="utf-8")
     assert page.count('<section class="sheet"') == 6
     assert "was run again and ends as the study" in page
-    assert "Euro NCAP" in page
+    assert "Tolerances after Euro NCAP" in page
+    assert "version 1.1 (October 2025), section 4.3.2" in page
+    assert "compare them with the protocol of the actual test" in page
     assert "wttc ≤ 0.2 s" in page
 
 

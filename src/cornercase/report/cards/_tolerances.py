@@ -1,8 +1,9 @@
-"""Tolerances of a published test protocol, for the parties of a test card.
+"""Tolerances after a published test protocol, for the parties of a test card.
 
-They are those between the start of the test and the first intervention of the system, by the kind of target: ``VUT``
-(vehicle under test), ``GVT`` (global vehicle target), ``EPT`` (pedestrian), ``EBT`` (bicyclist), ``EMT``
-(motorcyclist).
+The numbers were read from a copy of the protocol that a third party offers, and not from its publisher: whoever tests
+has to compare them with the protocol of the actual test. They are those between the start of the test and the first
+intervention of the system, by the kind of target: ``VUT`` (vehicle under test), ``GVT`` (global vehicle target),
+``EPT`` (pedestrian), ``EBT`` (bicyclist), ``EMT`` (motorcyclist).
 """
 
 from __future__ import annotations
@@ -11,8 +12,9 @@ from dataclasses import dataclass
 from typing import Final
 
 SOURCE: Final = (
-    "Euro NCAP, Crash Avoidance – Frontal Collisions, protocol version 1.1 (October 2025), section 4.3.2: from the"
-    " start of the test to the first intervention of the system"
+    "Tolerances after Euro NCAP, Crash Avoidance – Frontal Collisions, protocol version 1.1 (October 2025), section"
+    " 4.3.2, from the start of the test to the first intervention of the system; read from a third party’s copy, not"
+    " official: compare them with the protocol of the actual test."
 )
 NO_TOLERANCE: Final = "tolerance to be agreed"
 
