@@ -309,7 +309,14 @@ def test_a_program_that_a_study_names_is_not_started(study):
         (("--test-cards", "--ids", "9999"), "scenario 9999 was not run"),
         (("--test-cards", "--ids", "x"), "give ids and ranges of ids"),
         (("--ids", "3"), "add --test-cards"),
-        (("--test-cards", "--one-page"), "leave --one-page"),
+        (
+            ("--test-cards", "--one-page"),
+            "--test-cards and --one-page: each writes a page of its own; give one of them at a time, each with its own --output.",
+        ),
+        (
+            ("--test-cards", "--figures", "--against", "other.db"),
+            "--test-cards: has no figures and shows no other study; leave --figures and --against out.",
+        ),
     ],
 )
 def test_bad_input_gets_a_sentence(study, tmp_path, options, expected):
@@ -317,6 +324,12 @@ def test_bad_input_gets_a_sentence(study, tmp_path, options, expected):
     assert told.returncode == 2
     assert expected in " ".join(told.stderr.split())
     assert "Traceback" not in told.stderr
+
+
+def test_a_folder_has_no_test_cards(study, tmp_path):
+    told = cornercase("report", study.parent, "--test-cards", "-o", tmp_path / "cards.html")
+    assert told.returncode == 2
+    assert "is a folder" in told.stderr
 
 
 def test_a_study_that_was_not_reduced_is_named(study, tmp_path):

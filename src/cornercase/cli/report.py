@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -76,8 +77,8 @@ def report(
     from cornercase.report._one_page import write_one_page
 
     if test_cards or ids is not None:
-        others = (one_page, figures, figures_in is not None, against is not None, study.is_dir())
-        _require_test_cards_alone(study, test_cards, any(others))
+        unused = {"--figures": figures, "--figures-in": figures_in is not None, "--against": against is not None}
+        _check_test_card_options(study, test_cards, one_page, [flag for flag, given in unused.items() if given])
         _write_test_cards(study, output, ids, scenario, critical)
         return
     if study.is_dir():
@@ -108,14 +109,19 @@ def report(
     out.print(f"The report is {page.resolve()}")
 
 
-def _require_test_cards_alone(study: Path, test_cards: bool, has_others: bool) -> None:
+def _check_test_card_options(study: Path, test_cards: bool, one_page: bool, unused: Sequence[str]) -> None:
+    """Raise InputError for options that do not go with test cards; `unused` are those that cards have no use for."""
     if not test_cards:
         raise InputError("--ids: chooses the scenarios on test cards; add --test-cards, or leave it out.")
-    if has_others:
+    if one_page:
         raise InputError(
-            f"--test-cards: {study} has to be a study, not a folder; leave --one-page, --figures, --figures-in and"
-            " --against out."
+            "--test-cards and --one-page: each writes a page of its own; give one of them at a time, each with its own"
+            " --output."
         )
+    if unused:
+        raise InputError(f"--test-cards: has no figures and shows no other study; leave {' and '.join(unused)} out.")
+    if study.is_dir():
+        raise InputError(f"{study}: is a folder, and test cards are made of a study; name a study in it.")
 
 
 def _write_test_cards(
