@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 import shutil
 from dataclasses import replace
@@ -14,10 +15,11 @@ import pytest
 import cornercase as cc
 from conftest import EXAMPLES
 from cornercase.report import write_test_cards
+from cornercase.report.cards._card import CardSource, fill_card
 from cornercase.report.cards._meeting import find_meeting
 from cornercase.report.cards._quantity import SettableQuantity, find_settable_quantity
-from cornercase.report.cards._rounded_runs import RoundedRunner, reason_not_to_run, stored_run
-from cornercase.report.cards._rounding import iter_roundings
+from cornercase.report.cards._rounded_runs import RoundedRun, RoundedRunner, reason_not_to_run, stored_run
+from cornercase.report.cards._rounding import count_roundings, iter_roundings
 from cornercase.report.cards._start_conditions import list_movements
 from cornercase.report.cards._tolerances import find_tolerances
 from cornercase.scenario import Parameter
@@ -154,7 +156,7 @@ def test_a_rounding_that_keeps_the_outcome_is_preferred(study):
             for row in opened.finished_rows():
                 original = stored_run(opened, row.id, row.values)
                 roundings = list(iter_roundings(parameters, quantities, row.values))
-                chosen = runner.choose_rounding(original, roundings)
+                chosen = runner.choose_rounding(original, roundings, len(roundings))
                 assert chosen.run is not None
                 again = cc.simulate(scenario, chosen.values)
                 collides = again.first_collision("Ego", "Pedestrian") is not None
@@ -241,6 +243,59 @@ def test_the_contact_of_the_rounded_run_alone_is_named(unmeasured, tmp_path, mon
     page = write_test_cards(unmeasured, tmp_path / "cards.html", ids=ids).read_text(encoding="utf-8")
     assert "in the study contact with Pedestrian (not measured in the study)" in page
     assert "rounded no contact" in page
+
+
+def test_the_64_nearest_roundings_are_tried_and_no_more_is_said():
+    """With eight parameters there are 256 roundings; which are nearest is known from all of them."""
+    parameters = [Parameter(f"d{k}", 0.0, 10.0, unit="m") for k in range(8)]
+    quantities = [SettableQuantity("m", 1.0)] * 8
+    values = {f"d{k}": 5.0 + 0.03 + 0.06 * k for k in range(8)}
+    roundings = list(iter_roundings(parameters, quantities, values))
+    assert count_roundings(parameters, quantities, values) == 256
+    assert len(roundings) == len({tuple(rounding.values.values()) for rounding in roundings}) == 64
+    everything = sorted(
+        np.hypot.reduce([value - corner for value, corner in zip(values.values(), corners, strict=True)])
+        for corners in itertools.product((5.0, 6.0), repeat=8)
+    )
+    assert [rounding.distance for rounding in roundings] == pytest.approx(everything[:64])
+
+
+@pytest.mark.parametrize(
+    ("counts", "expected"),
+    [
+        ({"n_tried": 1, "n_possible": 1}, "there is no other rounding (1 tried)."),
+        ({"n_tried": 8, "n_possible": 8}, "no rounding up or down keeps the outcome (8 tried)."),
+        (
+            {"n_tried": 64, "n_possible": 256},
+            "none of the 64 roundings nearest to the study's values, of 256, keeps the outcome.",
+        ),
+        (
+            {"n_tried": 8, "n_possible": 8, "n_failed": 2},
+            "of the 8 roundings up or down, 2 could not be run, and no other one keeps the outcome.",
+        ),
+        (
+            {"n_tried": 64, "n_possible": 256, "n_failed": 2},
+            "of the 64 nearest of 256 roundings, 2 could not be run, and no other one keeps the outcome.",
+        ),
+    ],
+)
+def test_no_more_is_said_of_roundings_than_was_tried(study, counts, expected):
+    with StudyFile.open(study) as opened:
+        row = opened.finished_rows()[0]
+        run = stored_run(opened, row.id, row.values)
+        rounded = RoundedRun(row.values, run, keeps_outcome=False, **counts)
+        card = fill_card(opened, CardSource(row.id, run, rounded, "", ""), None, [SettableQuantity("", None)] * 3)
+    assert card["verdict"]["text"].endswith(expected)
+
+
+def test_a_nearest_rounding_that_could_not_be_run_is_not_said_to_change_the_outcome(study):
+    with StudyFile.open(study) as opened:
+        row = opened.finished_rows()[0]
+        run = stored_run(opened, row.id, row.values)
+        rounded = RoundedRun(row.values, run, True, 8, 8, n_failed=1, is_nearest=False, reason="no road at x 3 m")
+        card = fill_card(opened, CardSource(row.id, run, rounded, "", ""), None, [SettableQuantity("", None)] * 3)
+    assert "The nearest rounding could not be run (no road at x 3 m)" in card["verdict"]["text"]
+    assert "changed the outcome" not in card["verdict"]["text"]
 
 
 def test_what_starts_what_is_in_words_and_numbers_of_the_scenario():

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from cornercase._common.errors import InputError
-from cornercase._common.text.sanitize import escape_control_characters, quote_name, shorten
+from cornercase._common.text.sanitize import escape_control_characters, quote_name, remove_folders, shorten
 from cornercase.report._road_drawing import add_road_margin, find_road_outline
 from cornercase.report.cards._condition_texts import format_speed
 from cornercase.report.cards._contact_texts import (
@@ -124,17 +124,50 @@ def _verdict(source: CardSource) -> dict[str, str]:
     """Return what is known of the rounded scenario, and how it is to be shown."""
     rounded = source.rounded
     if rounded.run is None:
-        return {"kind": "unknown", "text": f"The rounded scenario was not run again: {clean(rounded.reason, 200)}."}
+        text = f"The rounded scenario was not run again: {_clean_reason(rounded.reason, 200)}."
+        if rounded.n_tried > 1:
+            text += f" {_describe_tried(rounded).capitalize()}."
+        return {"kind": "unknown", "text": text}
     how = _describe_end(rounded.run)
     if rounded.keeps_outcome:
         text = f"The rounded scenario was run again and ends as the study's: {how}."
         if not rounded.is_nearest:
-            text += " Rounding to the nearest steps changed the outcome, so some values are rounded the other way."
+            why = (
+                f"The nearest rounding could not be run ({_clean_reason(rounded.reason, 120)})"
+                if rounded.reason
+                else "Rounding to the nearest steps changed the outcome"
+            )
+            text += f" {why}, so some values are rounded the other way."
         return {"kind": "kept", "text": text}
     other = _describe_end(source.original)
-    tried = "no rounding up or down keeps it" if rounded.n_tried > 1 else "there is no other rounding"
-    text = f"ROUNDING CHANGES THE OUTCOME: in the study {other}; rounded {how}; {tried} ({rounded.n_tried} tried)."
+    text = f"ROUNDING CHANGES THE OUTCOME: in the study {other}; rounded {how}; {_describe_tried(rounded)}."
     return {"kind": "changed", "text": text}
+
+
+def _clean_reason(text: str, length: int) -> str:
+    """Return an error as a part of a sentence, without folders, which are private."""
+    return clean(remove_folders(text), length).rstrip(".")
+
+
+def _describe_tried(rounded: RoundedRun) -> str:
+    """Say how many roundings were tried in vain."""
+    if rounded.n_possible == 1:
+        return "there is no other rounding (1 tried)"
+    n_tried, are_all = rounded.n_tried, rounded.n_tried == rounded.n_possible
+    if rounded.n_failed == n_tried:
+        return f"none of the {n_tried} nearest roundings could be run"
+    if rounded.n_failed:
+        which = (
+            f"the {n_tried} roundings up or down"
+            if are_all
+            else f"the {n_tried} nearest of {rounded.n_possible} roundings"
+        )
+        return f"of {which}, {rounded.n_failed} could not be run, and no other one keeps the outcome"
+    if not are_all:
+        return (
+            f"none of the {n_tried} roundings nearest to the study's values, of {rounded.n_possible}, keeps the outcome"
+        )
+    return f"no rounding up or down keeps the outcome ({n_tried} tried)"
 
 
 def _describe_end(run: CardRun) -> str:
@@ -275,7 +308,7 @@ def _trigger_rows(scenario: ScenarioFile | None, values: Mapping[str, Value]) ->
     try:
         triggers = list_movements(scenario, values)
     except InputError as error:
-        return [], clean(f"Not known: {error}", _MAX_TRIGGER_TEXT)
+        return [], f"Not known: {_clean_reason(str(error), _MAX_TRIGGER_TEXT)}."
     rows = [
         (clean(item.who, 24), clean(item.what, _MAX_TRIGGER_TEXT), clean(item.when, _MAX_TRIGGER_TEXT))
         for item in triggers

@@ -54,14 +54,17 @@ class CardRun:
 class RoundedRun:
     """The rounding that a card names, and what came out when it was run.
 
-    `run` is None if it was not run, and `reason` says why. `keeps_outcome` is None then. `n_tried` is the number of
-    roundings that were run.
+    `run` is None if it was not run, and `reason` says why the nearest rounding was not run. `keeps_outcome` is None
+    then. Of `n_possible` roundings, up or down in each parameter, the `n_tried` nearest were tried; `n_failed` of them
+    could not be run.
     """
 
     values: Mapping[str, Value]
     run: CardRun | None
     keeps_outcome: bool | None
     n_tried: int
+    n_possible: int
+    n_failed: int = 0
     reason: str = ""
     is_nearest: bool = True
 
@@ -109,19 +112,26 @@ class RoundedRunner:
     def __exit__(self, *exception: object) -> None:
         self._simulator.__exit__(*exception)
 
-    def choose_rounding(self, original: CardRun, roundings: Sequence[Rounding]) -> RoundedRun:
-        """Run the nearest rounding; if it ends otherwise, run the others, and choose the nearest that does not."""
+    def choose_rounding(self, original: CardRun, roundings: Sequence[Rounding], n_possible: int) -> RoundedRun:
+        """Run the nearest rounding; if it ends otherwise, run the others, and choose the nearest that does not.
+
+        `roundings` are the nearest of `n_possible`.
+        """
         nearest, *others = roundings
         (first,) = self._run([nearest])
         if isinstance(first, CardRun) and first.ends_like(original):
-            return RoundedRun(nearest.values, first, True, 1)
+            return RoundedRun(nearest.values, first, True, 1, n_possible)
         tried = [first, *(self._run(others) if others else ())]
+        n_failed = sum(isinstance(run, str) for run in tried)
+        reason = first if isinstance(first, str) else ""
         for rounding, run in zip(roundings, tried, strict=True):
             if isinstance(run, CardRun) and run.ends_like(original):
-                return RoundedRun(rounding.values, run, True, len(tried), is_nearest=False)
+                return RoundedRun(
+                    rounding.values, run, True, len(tried), n_possible, n_failed, reason, is_nearest=False
+                )
         if isinstance(first, str):
-            return RoundedRun(nearest.values, None, None, len(tried), first)
-        return RoundedRun(nearest.values, first, False, len(tried))
+            return RoundedRun(nearest.values, None, None, len(tried), n_possible, n_failed, reason)
+        return RoundedRun(nearest.values, first, False, len(tried), n_possible, n_failed)
 
     def _run(self, roundings: Sequence[Rounding]) -> list[CardRun | str]:
         """Run scenarios; return what came out of each, or why it could not be run."""

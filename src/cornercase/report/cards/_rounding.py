@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -28,32 +27,39 @@ class Rounding:
 def iter_roundings(
     parameters: Sequence[Parameter], quantities: Sequence[SettableQuantity], values: Mapping[str, Value]
 ) -> Iterator[Rounding]:
-    """Yield the roundings of a scenario, up or down in each parameter, the nearest first; at most 64.
+    """Yield the roundings of a scenario, up or down in each parameter, the nearest first; at most the nearest 64.
 
     Each value is within the range of its parameter. A parameter whose range has no step keeps its value.
     """
-    names: list[str] = []
-    neighbours: list[list[tuple[float, float]]] = []
-    for parameter, quantity in zip(parameters, quantities, strict=True):
-        if quantity.step is not None:
-            names.append(parameter.name)
-            neighbours.append(_neighbours(float(values[parameter.name]), quantity.step, parameter.low, parameter.high))
-    # Of many parameters only those that are farthest from a step are rounded either way.
-    while math.prod(map(len, neighbours)) > _MAX_ROUNDINGS:
-        k = max(
-            (k for k, pair in enumerate(neighbours) if len(pair) > 1),
-            key=lambda k: neighbours[k][1][1] - neighbours[k][0][1],
-        )
-        neighbours[k] = neighbours[k][:1]
-    roundings = [
-        Rounding(
-            {**values, **{name: value for name, (value, _) in zip(names, choice, strict=True)}},
-            math.hypot(*(distance for _, distance in choice)),
-        )
-        for choice in itertools.product(*neighbours)
-    ]
+    # Whatever the values of the parameters that follow, only the nearest so far can be among the nearest in the end.
     # Sorting is stable, so equal distances keep their order.
-    yield from sorted(roundings, key=lambda rounding: rounding.distance)
+    nearest: list[Rounding] = [Rounding(values, 0.0)]
+    for name, pairs in _list_neighbours(parameters, quantities, values).items():
+        longer = [
+            Rounding({**rounding.values, name: value}, math.hypot(rounding.distance, distance))
+            for rounding in nearest
+            for value, distance in pairs
+        ]
+        nearest = sorted(longer, key=lambda rounding: rounding.distance)[:_MAX_ROUNDINGS]
+    yield from nearest
+
+
+def count_roundings(
+    parameters: Sequence[Parameter], quantities: Sequence[SettableQuantity], values: Mapping[str, Value]
+) -> int:
+    """Return how many roundings of a scenario there are, up or down in each parameter; they may be more than 64."""
+    return math.prod(map(len, _list_neighbours(parameters, quantities, values).values()))
+
+
+def _list_neighbours(
+    parameters: Sequence[Parameter], quantities: Sequence[SettableQuantity], values: Mapping[str, Value]
+) -> dict[str, list[tuple[float, float]]]:
+    """Return the steps next to each value that is rounded, by parameter, with their distances in steps."""
+    return {
+        parameter.name: _neighbours(float(values[parameter.name]), quantity.step, parameter.low, parameter.high)
+        for parameter, quantity in zip(parameters, quantities, strict=True)
+        if quantity.step is not None
+    }
 
 
 def _neighbours(value: float, step: float, low: float, high: float) -> list[tuple[float, float]]:

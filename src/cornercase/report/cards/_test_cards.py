@@ -22,7 +22,7 @@ from cornercase.report.cards._rounded_runs import (
     reason_not_to_run,
     stored_run,
 )
-from cornercase.report.cards._rounding import iter_roundings
+from cornercase.report.cards._rounding import count_roundings, iter_roundings
 from cornercase.report.cards._tolerances import SOURCE
 from cornercase.report.html._templates import check_page_path, render_template, write_page
 from cornercase.scenario._file import ScenarioFile
@@ -50,7 +50,7 @@ def write_test_cards(
     The parameters are rounded to steps that a proving ground can set: speeds to 1 km/h, distances to 0.1 m, times to
     0.1 s. Each rounded scenario is run again with the study's simulator, if that is ``"builtin"`` or ``"esmini"``; the
     card says whether it ends as in the study. If it does not, the nearest rounding up or down that does is taken; if
-    there is none, the card says so.
+    there is none among the nearest 64, the card says so.
 
     Parameters
     ----------
@@ -180,9 +180,10 @@ def _make_chooser(
 
     def choose(original: CardRun) -> RoundedRun:
         roundings = list(iter_roundings(parameters, quantities, original.values))
+        n_possible = count_roundings(parameters, quantities, original.values)
         if runner is None:
-            return RoundedRun(roundings[0].values, None, None, 0, reason)
-        return runner.choose_rounding(original, roundings)
+            return RoundedRun(roundings[0].values, None, None, 0, n_possible, reason=reason)
+        return runner.choose_rounding(original, roundings, n_possible)
 
     return choose
 
