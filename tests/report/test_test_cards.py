@@ -16,13 +16,14 @@ import cornercase as cc
 from conftest import EXAMPLES
 from cornercase.report import write_test_cards
 from cornercase.report.cards._card import CardSource, fill_card
+from cornercase.report.cards._layout import CardTexts, arrange
 from cornercase.report.cards._meeting import find_meeting
 from cornercase.report.cards._quantity import SettableQuantity, find_settable_quantity
 from cornercase.report.cards._rounded_runs import RoundedRun, RoundedRunner, reason_not_to_run, stored_run
 from cornercase.report.cards._rounding import count_roundings, iter_roundings
 from cornercase.report.cards._start_conditions import list_movements
 from cornercase.report.cards._tolerances import find_tolerances
-from cornercase.scenario import Parameter
+from cornercase.scenario import Parameter, ParameterSpace
 from cornercase.scenario._file import ScenarioFile
 from cornercase.study import StudyFile
 from cornercase.study._scenario_file import find_explored_scenario
@@ -187,7 +188,7 @@ def test_a_changed_outcome_is_said(study, tmp_path, monkeypatch):
 @pytest.fixture(scope="module")
 def unmeasured(study) -> Path:
     """The same scenarios, in which the ego is measured against the truck only, and touches the pedestrian."""
-    path = study.parent / "unmeasured.db"
+    path: Path = study.parent / "unmeasured.db"
     logical = cc.LogicalScenario.read(X / "x_intersection.xosc", X / "x_intersection.space.xosc")
     continuous = replace(logical, space=logical.space.as_continuous())
     cc.explore(continuous, path, ego="Ego", other="Truck", metrics=["wttc"], optimizer="sobol", budget=64, critical=0.2)
@@ -210,7 +211,7 @@ def test_a_contact_that_the_study_does_not_measure_is_named(unmeasured, tmp_path
     assert "no contact" not in verdict[1]
     before, after, _ = cells(page, "contact")
     assert (before, after) == ("none measured", "none measured")
-    before, after, _ = cells(page, "contact, not measured")
+    before, after, _ = cells(page, "unmeasured contact")
     assert before.startswith("Pedestrian, ")
     assert after.startswith("Pedestrian, ")
     assert "In the simulation Ego touches Pedestrian, which the study does not measure" in page
@@ -308,6 +309,37 @@ def test_what_starts_what_is_in_words_and_numbers_of_the_scenario():
     assert synchronises.when == "3.60 s since the start and Ego has gone 67.4 m"
     assert "s 12.0 m" in synchronises.what
     assert movements["C goes on”)"].when == "“C synchronises” has ended"
+
+
+def test_events_of_entities_that_the_ego_touches_are_shown_before_others():
+    """Where there is no room for all; those that are shown stay in the order of the storyboard."""
+    triggers = [(who, "goes to 27.0 km/h at once, for as long as it takes " * 3, "at the start") for who in "ABCDEF"]
+    texts = CardTexts(
+        lines=[""], bold=False, parameters=[["speed", "1 m/s", "4 km/h"]] * 4, parties=[{"time": ""}] * 4,
+        triggers=triggers, trigger_ranks=[2, 2, 1, 2, 2, 0], results=[("contact", "none", "none")] * 9,
+        below_results="", conditions=["No contact of Ego with F."],
+    )  # fmt: skip
+    layout = arrange(texts)
+    assert 2 <= len(layout.triggers) < 6
+    assert [who for who, _, _ in layout.triggers][-1] == "F"
+    assert "C" in [who for who, _, _ in layout.triggers]
+    assert layout.drawing_height >= 30.0
+
+
+def test_a_long_value_that_has_to_be_set_is_on_the_card_as_a_whole(tmp_path):
+    shutil.copytree(X, tmp_path / "scenario")
+    scenario = tmp_path / "scenario" / "x_intersection.xosc"
+    value = "StraightRoad_noRoadmarks_Streetlights_Nearside"
+    text = scenario.read_text(encoding="utf-8")
+    declared = f'<ParameterDeclarations><ParameterDeclaration name="road" parameterType="string" value="{value}"/>'
+    scenario.write_text(text.replace("<ParameterDeclarations>", declared, 1), encoding="utf-8")
+    space = ParameterSpace(
+        (Parameter("ego_start", 40.0, 41.0, unit="m"), Parameter("road", 0.0, 1.0, choices=(value, "another")))
+    )
+    logical = replace(cc.LogicalScenario.read(scenario, ranges=["ego_start=40:41"]), space=space)
+    cc.explore(logical, tmp_path / "study.db", ego="Ego", other="Pedestrian", metrics=["wttc"], budget=8)
+    page = write_test_cards(tmp_path / "study.db", tmp_path / "cards.html", ids=range(1, 9))
+    assert f'<td class="set">{value}</td>' in page.read_text(encoding="utf-8")
 
 
 def test_tolerances_are_those_of_the_kind_of_target():

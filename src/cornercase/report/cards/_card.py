@@ -9,6 +9,7 @@ from typing import Any, Final
 
 from cornercase._common.errors import InputError
 from cornercase._common.text.sanitize import escape_control_characters, quote_name, remove_folders, shorten
+from cornercase.drivers._description import format_driver
 from cornercase.report._road_drawing import add_road_margin, find_road_outline
 from cornercase.report.cards._condition_texts import format_speed
 from cornercase.report.cards._contact_texts import (
@@ -18,11 +19,12 @@ from cornercase.report.cards._contact_texts import (
     list_contacts,
     list_names,
 )
+from cornercase.report.cards._layout import MAX_PARTIES, CardTexts, Trigger, arrange, list_settings
 from cornercase.report.cards._quantity import SettableQuantity
 from cornercase.report.cards._rounded_runs import CardRun, RoundedRun
 from cornercase.report.cards._sketch import draw_course, draw_meeting
 from cornercase.report.cards._start import StartPose, list_start_poses, read_network
-from cornercase.report.cards._start_conditions import list_movements
+from cornercase.report.cards._start_conditions import Movement, list_movements
 from cornercase.report.cards._tolerances import NO_TOLERANCE, find_tolerances
 from cornercase.report.text._phrases import append_unit, format_criterion_with_signs, format_value
 from cornercase.scenario import Parameter, Value
@@ -31,27 +33,15 @@ from cornercase.study import StudyFile
 from cornercase.study._digest import find_bounds
 
 # What fits on the page.
-_MAX_PARAMETERS: Final = 7
-_MAX_PARTIES: Final = 4
-_MAX_TRIGGERS: Final = 6
 _MAX_SCORES: Final = 3
 _MAX_REQUIREMENTS: Final = 4
-_USUAL_RESULTS: Final = 11
+_MAX_REQUIREMENT: Final = 110
 _MAX_TRIGGER_TEXT: Final = 160
+# Names and values of parameters, which are on several lines if they are long.
+_MAX_PARAMETER_NAME: Final = 40
+_MAX_VALUE: Final = 64
 _COURSE_MM: Final = 128.0
 _MEETING_MM: Final = 52.0
-# Heights in mm: of the drawings, of all that varies from card to card, of a row of each table.
-_DRAWING_HEIGHTS: Final = (30.0, 62.0)
-_ROOM: Final = 128.0
-_NOTE_HEIGHT: Final = 3.6
-_PARAMETER_HEIGHT: Final = 4.8
-_PARTY_HEIGHT: Final = 11.4
-# Characters on a line of each column of the table of triggers.
-_CHARACTERS: Final = (13, 66, 40)
-# Characters of a line, and of one of the conditions; lines of notes and conditions that a card usually has.
-_LINE: Final = 115
-_ACCEPTANCE_LINE: Final = 40
-_USUAL_LINES: Final = 4
 _NO_CELL: Final = "–"
 
 
@@ -79,35 +69,47 @@ def fill_card(
     recording, meeting = run.recording, run.meeting
     road, no_road = find_road_outline(study, add_road_margin(find_bounds(recording)), scenario, dict(run.values))
     poses = list_start_poses(recording, read_network(scenario, dict(run.values)))
-    parameters, more_parameters = _parameter_rows(meta.space.parameters, quantities, source)
-    parties, more_parties = _party_rows(poses, study, source)
-    rows, trigger_note = _trigger_rows(scenario, source.rounded.values)
+    rank = _rank_entities(study, source)
+    parameters = _parameter_rows(meta.space.parameters, quantities, source)
+    parties = _party_rows(sorted(poses, key=lambda pose: rank.get(pose.name, len(rank))), study, source)
+    movements, trigger_note = _list_movements(scenario, source.rounded.values)
     fixed, verdict = _fixed_parameters(meta.space.parameters, run), _verdict(source)
-    results = _result_rows(study, source)
-    further, accept = _further_tolerances(parties), _acceptance(study, source)
+    results, accept = _result_rows(study, source), _required(study)
+    why = clean(f"Kept as {source.role}: {source.why}.", 170) if source.role else ""
     file = clean(meta.files[source.scenario_id - 1] if meta.suite else meta.file_name, 40)
-    notes = (
-        fixed, more_parameters, more_parties, further, len(verdict["text"]) > _LINE, len(further) > _LINE - 20,
-        len(file) + len(study.path.name) > _LINE // 2,
+    unmeasured = ask_about_unmeasured([run.meeting for run in (source.original, source.rounded.run) if run], meta.ego)
+    texts = CardTexts(
+        lines=(
+            verdict["text"],
+            f"Under test: {describe_function(study)}. {why}",
+            fixed, _further_tolerances(parties[:MAX_PARTIES]),
+            f"{file} {study.path.name} {meta.simulator}",
+        ),
+        bold=verdict["kind"] == "changed",
+        parameters=parameters,
+        parties=parties,
+        triggers=_list_triggers(movements),
+        trigger_ranks=[min(rank.get(name, len(rank)) for name in item.actors or ("",)) for item in movements],
+        results=results,
+        below_results=unmeasured,
+        conditions=accept,
     )  # fmt: skip
-    # A row of the results is a little higher than a line.
-    n_lines = sum(map(bool, notes)) + math.ceil(1.2 * max(0, len(results) - _USUAL_RESULTS))
-    n_lines += sum(math.ceil(len(text) / _ACCEPTANCE_LINE) for text in accept)
-    triggers, height = _fit(parameters, parties, rows, n_lines - _USUAL_LINES)
-    if len(triggers) < len(rows):
-        trigger_note = f"And {len(rows) - len(triggers)} more, which the scenario file lists."
+    layout = arrange(texts)
+    parties, height = parties[: layout.n_parties], layout.drawing_height
+    if len(layout.triggers) < len(movements):
+        trigger_note = f"And {len(movements) - len(layout.triggers)} more, which the scenario file lists."
     return {
         "id": source.scenario_id,
-        "kept_as": clean(f"Kept as {source.role}: {source.why}.", 170) if source.role else "",
+        "kept_as": why,
         "file": file,
         "verdict": verdict,
-        "parameters": parameters,
-        "more_parameters": more_parameters,
+        "parameters": parameters[: layout.n_parameters],
+        "more_parameters": list_settings(parameters[layout.n_parameters :]),
         "fixed": fixed,
         "parties": parties,
-        "more_parties": more_parties,
-        "further_tolerances": further,
-        "triggers": triggers,
+        "more_parties": len(poses) - layout.n_parties,
+        "further_tolerances": _further_tolerances(parties),
+        "triggers": layout.triggers,
         "trigger_note": trigger_note,
         "course": draw_course(recording, meta.ego, meeting, road, _COURSE_MM, height),
         "meeting": draw_meeting(recording, meta.ego, meeting, road, _MEETING_MM, height),
@@ -115,9 +117,29 @@ def fill_card(
         "at_meeting": "contact" if meeting.collides else "closest approach",
         "results": results,
         "has_rounded": source.rounded.run is not None,
+        "unmeasured": unmeasured,
         "accept": accept,
         "drawn": "the rounded scenario" if source.rounded.run is not None else "the run in the study",
     }
+
+
+def describe_function(study: StudyFile) -> str:
+    """Return who is under test, and who drives."""
+    driver = study.meta.ego_driver
+    text = f"{study.meta.ego}, driven by {format_driver(driver)}" if driver else study.meta.ego
+    return clean(text, 80)
+
+
+def _rank_entities(study: StudyFile, source: CardSource) -> dict[str, int]:
+    """Rank entities by how much they matter: the ego, what it meets, what else it touches, and the others."""
+    touched = [
+        name
+        for run in (source.run, source.original)
+        for name, _ in run.meeting.further_contacts + run.meeting.unmeasured_contacts
+    ]
+    met = source.run.meeting.other, source.original.meeting.other
+    names = dict.fromkeys((study.meta.ego, *met, *touched, *study.meta.others))
+    return {name: k for k, name in enumerate(names)}
 
 
 def _verdict(source: CardSource) -> dict[str, str]:
@@ -179,7 +201,7 @@ def _describe_end(run: CardRun) -> str:
 
 def _parameter_rows(
     parameters: Sequence[Parameter], quantities: Sequence[SettableQuantity], source: CardSource
-) -> tuple[list[list[str]], int]:
+) -> list[list[str]]:
     rows = []
     for parameter, quantity in zip(parameters, quantities, strict=True):
         if parameter.size == 1:
@@ -188,14 +210,14 @@ def _parameter_rows(
         after = parameter.extract_value(source.rounded.values)
         rows.append(
             [
-                clean(parameter.name),
-                clean(append_unit(_format_plain(before), quantity.unit), 27),
-                clean(_format_setting(after, quantity), 27),
+                clean(parameter.name, _MAX_PARAMETER_NAME),
+                clean(append_unit(_format_plain(before), quantity.unit), _MAX_VALUE),
+                clean(_format_setting(after, quantity), _MAX_VALUE),
                 _format_change(before, after, quantity),
                 _parameter_tolerance(parameter, quantity),
             ]
         )
-    return rows[:_MAX_PARAMETERS], max(0, len(rows) - _MAX_PARAMETERS)
+    return rows
 
 
 def _fixed_parameters(parameters: Sequence[Parameter], run: CardRun) -> str:
@@ -213,26 +235,6 @@ def _format_plain(value: Value) -> str:
     if not isinstance(value, str):
         return format_value(value)
     return ", ".join(piece.strip().replace("\\", "/").rpartition("/")[2] for piece in value.split(","))
-
-
-def _fit(
-    parameters: Sequence[object],
-    parties: Sequence[object],
-    triggers: Sequence[tuple[str, str, str]],
-    n_extra_lines: int,
-) -> tuple[list[tuple[str, str, str]], float]:
-    """Return as many triggers as there is room for, and the height in mm that is left to the drawings."""
-    low, high = _DRAWING_HEIGHTS
-    room = _ROOM - _NOTE_HEIGHT * n_extra_lines - _PARAMETER_HEIGHT * len(parameters) - _PARTY_HEIGHT * len(parties)
-    shown = []
-    for row in triggers[:_MAX_TRIGGERS]:
-        n_lines = max(math.ceil(len(text) / count) for text, count in zip(row, _CHARACTERS, strict=True))
-        height = 1.0 + 3.5 * n_lines
-        if room - height < low:
-            break
-        room -= height
-        shown.append(row)
-    return shown, round(min(high, room), 1)
 
 
 def _parameter_tolerance(parameter: Parameter, quantity: SettableQuantity) -> str:
@@ -257,14 +259,11 @@ def _format_change(before: Value, after: Value, quantity: SettableQuantity) -> s
     return "none" if abs(change) < 1e-9 else append_unit(f"{change:+.2g}", quantity.unit).replace("-", "−")
 
 
-def _party_rows(poses: Sequence[StartPose], study: StudyFile, source: CardSource) -> tuple[list[dict[str, str]], int]:
-    """Return where each party starts: the ego, the entity that it meets, what else it touches, and the rest."""
+def _party_rows(poses: Sequence[StartPose], study: StudyFile, source: CardSource) -> list[dict[str, str]]:
+    """Return where each party starts."""
     meta, meeting = study.meta, source.run.meeting
-    touched = (name for name, _ in meeting.further_contacts + meeting.unmeasured_contacts)
-    rank = {name: k for k, name in enumerate(dict.fromkeys((meta.ego, meeting.other, *touched, *meta.others)))}
-    ordered = sorted(poses, key=lambda pose: rank.get(pose.name, len(rank)))
     rows = []
-    for pose in ordered:
+    for pose in poses:
         crosses = meeting.crosses if pose.name == meeting.other else None
         tolerances = find_tolerances(pose.object_type, is_ego=pose.name == meta.ego, crosses=crosses)
         rows.append(
@@ -282,7 +281,7 @@ def _party_rows(poses: Sequence[StartPose], study: StudyFile, source: CardSource
                 "more": "; ".join(tolerances.others) if tolerances else "",
             }
         )
-    return rows[:_MAX_PARTIES], max(0, len(rows) - _MAX_PARTIES)
+    return rows
 
 
 def _further_tolerances(parties: Sequence[dict[str, str]]) -> str:
@@ -302,18 +301,22 @@ def _format_fixed(value: float, digits: int) -> str:
     return (text.lstrip("-") if float(text) == 0.0 else text).replace("-", "−")
 
 
-def _trigger_rows(scenario: ScenarioFile | None, values: Mapping[str, Value]) -> tuple[list[tuple[str, str, str]], str]:
+def _list_movements(scenario: ScenarioFile | None, values: Mapping[str, Value]) -> tuple[list[Movement], str]:
+    """Return the events that move somebody, and a note if there are none."""
     if scenario is None:
         return [], "Not known: the scenario file was not found, or there is none."
     try:
-        triggers = list_movements(scenario, values)
+        movements = list_movements(scenario, values)
     except InputError as error:
         return [], f"Not known: {_clean_reason(str(error), _MAX_TRIGGER_TEXT)}."
-    rows = [
+    return movements, "" if movements else "No event of the storyboard moves anybody."
+
+
+def _list_triggers(movements: Sequence[Movement]) -> list[Trigger]:
+    return [
         (clean(item.who, 24), clean(item.what, _MAX_TRIGGER_TEXT), clean(item.when, _MAX_TRIGGER_TEXT))
-        for item in triggers
+        for item in movements
     ]
-    return rows, "" if rows else "No event of the storyboard moves anybody."
 
 
 def _result_rows(study: StudyFile, source: CardSource) -> list[tuple[str, str, str]]:
@@ -347,21 +350,11 @@ def _results(study: StudyFile, run: CardRun) -> dict[str, str]:
     return rows
 
 
-def _acceptance(study: StudyFile, source: CardSource) -> list[str]:
-    """Return what a run has to show: the requirements of a suite, or else no contact and not critical.
-
-    What touches the ego without being measured is left to those who test: the study does not judge it.
-    """
-    meta = study.meta
-    runs = [run for run in (source.original, source.rounded.run) if run is not None]
-    text = ask_about_unmeasured([run.meeting for run in runs], meta.ego)
-    return [*_required(study), *([text] if text else [])]
-
-
 def _required(study: StudyFile) -> list[str]:
+    """Return what a run has to show: the requirements of a suite, or else no contact and not critical."""
     meta = study.meta
     if meta.requirements:
-        texts = [clean(f"Requirement: {text}", 160) for text in meta.requirements[:_MAX_REQUIREMENTS]]
+        texts = [clean(f"Requirement: {text}", _MAX_REQUIREMENT) for text in meta.requirements[:_MAX_REQUIREMENTS]]
         n_more = len(meta.requirements) - len(texts)
         return [*texts, *([f"And {n_more} more requirements, which the report lists."] if n_more else [])]
     texts = [f"No contact of {quote_name(clean(meta.ego))} with {list_names(meta.others, 'or')}."]

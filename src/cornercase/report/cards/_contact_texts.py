@@ -13,7 +13,7 @@ _MAX_NAME: Final = 26
 _MAX_NAMES: Final = 5
 _NOT_MEASURED: Final = "(not measured in the study)"
 _FURTHER_CONTACT: Final = "further contact"
-_UNMEASURED_CONTACT: Final = "contact, not measured"
+_UNMEASURED_CONTACT: Final = "unmeasured contact"
 _NONE: Final = "none"
 
 

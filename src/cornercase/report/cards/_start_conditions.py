@@ -20,11 +20,12 @@ _AT_START: Final = "at the start"
 
 @dataclass(frozen=True)
 class Movement:
-    """An event of the storyboard: who does what, and when."""
+    """An event of the storyboard: who does what, and when, in words; `actors` are the names of those who do it."""
 
     who: str
     what: str
     when: str
+    actors: tuple[str, ...] = ()
 
 
 def list_movements(scenario: ScenarioFile, values: Mapping[str, Value]) -> list[Movement]:
@@ -43,7 +44,8 @@ def _iter_movements(scenario: ScenarioFile, scope: Scope) -> Iterator[Movement]:
         # An act whose trigger is always true begins with the run.
         act_when = "" if act_when in ("0.00 s since the start", "at least 0.00 s since the start") else act_when
         for group in act.iterfind("ManeuverGroup"):
-            actors = [quote_name(scope.read_text(actor, "entityRef")) for actor in group.iterfind("Actors/EntityRef")]
+            actors = tuple(scope.read_text(actor, "entityRef") for actor in group.iterfind("Actors/EntityRef"))
+            who = ", ".join(map(quote_name, actors)) or "–"
             for maneuver, inner in _maneuvers(group, scope):
                 for event in maneuver.iterfind("Event"):
                     what = [text for action in event.iterfind("Action") if (text := _describe_action(action, inner))]
@@ -52,7 +54,7 @@ def _iter_movements(scenario: ScenarioFile, scope: Scope) -> Iterator[Movement]:
                         when = ", and ".join(text for text in (act_when, own) if text) or _AT_START
                         when = _AT_START if when == "0.00 s since the start" else when
                         name = event.get("name", "")
-                        yield Movement(", ".join(actors) or "–", f"{', '.join(what)} (“{name}”)", when)
+                        yield Movement(who, f"{', '.join(what)} (“{name}”)", when, actors)
 
 
 def _maneuvers(group: etree._Element, scope: Scope) -> Iterator[tuple[etree._Element, Scope]]:

@@ -11,9 +11,8 @@ from cornercase._common import validation
 from cornercase._common.errors import InputError
 from cornercase._common.io.files import check_output_differs_from_source
 from cornercase._common.text.sanitize import escape_control_characters, shorten
-from cornercase.drivers._description import format_driver
 from cornercase.reduction import read_reduction
-from cornercase.report.cards._card import CardSource, fill_card
+from cornercase.report.cards._card import CardSource, describe_function, fill_card
 from cornercase.report.cards._quantity import SettableQuantity, find_settable_quantity
 from cornercase.report.cards._rounded_runs import (
     CardRun,
@@ -190,11 +189,9 @@ def _make_chooser(
 
 def _about(study: StudyFile) -> dict[str, Any]:
     meta = study.meta
-    driver = meta.ego_driver
-    function = f"{meta.ego}, driven by {format_driver(driver)}" if driver else meta.ego
     return {
         "file_name": shorten(escape_control_characters(study.path.name), 40),
-        "function": shorten(escape_control_characters(function), 80),
+        "function": describe_function(study),
         "simulator": shorten(escape_control_characters(meta.simulator), 40),
         "fingerprint": meta.fingerprint[:16],
         "version": meta.version,
