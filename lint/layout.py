@@ -24,6 +24,7 @@ _VERB = "a verb of the API: up to twelve parameters besides the object"
 _COMPILED = "compiled: machine code takes numbers and arrays, no objects"
 _SIMULATOR = "one parameter for each option of the simulator"
 LARGE_FUNCTIONS = {
+    "cli/report.py report": _OPTIONS,
     "cli/study.py analyze": _OPTIONS,
     "cli/study.py reduce": _OPTIONS,
     "cli/test.py test_suite": _OPTIONS,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,6 +12,7 @@ import typer
 from cornercase._common.errors import InputError
 from cornercase._common.memory import DEFAULT_MEMORY
 from cornercase.cli import options as opt
+from cornercase.cli import parsing
 from cornercase.cli.options import Option, app, out
 from cornercase.cli.profiling import Profile
 
@@ -32,6 +34,18 @@ def report(
     one_page: Annotated[
         bool, Option("--one-page", help="Write a summary instead that prints on one page of A4, for whoever decides.")
     ] = False,
+    test_cards: Annotated[
+        bool,
+        Option(
+            "--test-cards",
+            help="Write test cards instead for a proving ground: a page of A4 for each kept scenario, with values that"
+            " can be set.",
+        ),
+    ] = False,
+    ids: Annotated[
+        str | None,
+        Option("--ids", metavar="ID,ID-ID", help="Scenarios on test cards, such as 3,17-20; default: the kept ones."),
+    ] = None,
     scenario: opt.ExploredScenario = None,
     against: Annotated[
         Path | None,
@@ -55,12 +69,18 @@ def report(
       cornercase report study.db -o report.html
       cornercase report study.db --figures -o report.html
       cornercase report study.db --one-page -o summary.html
+      cornercase report study.db --test-cards -o cards.html
       cornercase report studies -o studies/index.html
     """
     from cornercase.report import write_report
     from cornercase.report._index_page import write_index
     from cornercase.report._one_page import write_one_page
 
+    if test_cards or ids is not None:
+        unused = {"--figures": figures, "--figures-in": figures_in is not None, "--against": against is not None}
+        _check_test_card_options(study, test_cards, one_page, [flag for flag, given in unused.items() if given])
+        _write_test_cards(study, output, ids, scenario, critical)
+        return
     if study.is_dir():
         if one_page or figures or figures_in is not None or scenario is not None or critical is not None:
             raise InputError(
@@ -87,6 +107,31 @@ def report(
         progress=True,
     )
     out.print(f"The report is {page.resolve()}")
+
+
+def _check_test_card_options(study: Path, test_cards: bool, one_page: bool, unused: Sequence[str]) -> None:
+    """Raise InputError for options that do not go with test cards; `unused` are those that cards have no use for."""
+    if not test_cards:
+        raise InputError("--ids: chooses the scenarios on test cards; add --test-cards, or leave it out.")
+    if one_page:
+        raise InputError(
+            "--test-cards and --one-page: each writes a page of its own; give one of them at a time, each with its own"
+            " --output."
+        )
+    if unused:
+        raise InputError(f"--test-cards: has no figures and shows no other study; leave {' and '.join(unused)} out.")
+    if study.is_dir():
+        raise InputError(f"{study}: is a folder, and test cards are made of a study; name a study in it.")
+
+
+def _write_test_cards(
+    study: Path, output: Path, ids: str | None, scenario: Path | None, critical: float | None
+) -> None:
+    from cornercase.report import write_test_cards
+
+    chosen = None if ids is None else parsing.parse_ids(ids, "--ids")
+    page = write_test_cards(study, output, ids=chosen, scenario=scenario, critical=critical)
+    out.print(f"The test cards are {page.resolve()}")
 
 
 @app.command()

@@ -1,0 +1,170 @@
+"""Run rounded scenarios again, and choose a rounding that keeps the outcome."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from cornercase._common.errors import InputError, PluginError
+from cornercase.drivers._resolve import may_be_named_in_file, resolve_driver
+from cornercase.metrics._measure import evaluate_metrics
+from cornercase.recordings import Recording
+from cornercase.report.cards._meeting import Meeting, find_meeting
+from cornercase.report.cards._rounding import Rounding
+from cornercase.scenario import ConcreteScenario, Value
+from cornercase.scenario._file import ScenarioFile
+from cornercase.simulators._base import Simulator
+from cornercase.simulators._create import create_simulator
+from cornercase.simulators._results import run_scenarios
+from cornercase.study import StudyFile, StudyMeta
+from cornercase.study._import_recordings import IMPORTED_SIMULATOR
+from cornercase.study._objective import Objective
+
+# Simulators that are not servers or programs with a licence of their own.
+_SIMULATORS: Final = ("builtin", "esmini")
+
+
+@dataclass(frozen=True)
+class CardRun:
+    """A run of a scenario, and how it ends.
+
+    `is_critical` is None without a threshold, or if a score is not known.
+    """
+
+    values: Mapping[str, Value]
+    recording: Recording
+    meeting: Meeting
+    scores: Mapping[str, float]
+    is_critical: bool | None
+
+    def ends_like(self, other: CardRun) -> bool:
+        """Return whether both end alike: contacts with the same entities or none, and critical or not.
+
+        The first of the measured contacts has to be with the same entity, too.
+        """
+        same_contact = self.meeting.collides == other.meeting.collides and (
+            not self.meeting.collides or self.meeting.other == other.meeting.other
+        )
+        same_entities = self.meeting.entities_hit == other.meeting.entities_hit
+        return same_contact and same_entities and self.is_critical == other.is_critical
+
+
+@dataclass(frozen=True)
+class RoundedRun:
+    """The rounding that a card names, and what came out when it was run.
+
+    `run` is None if it was not run, and `reason` says why the nearest rounding was not run. `keeps_outcome` is None
+    then. Of `n_possible` roundings, up or down in each parameter, the `n_tried` nearest were tried; `n_failed` of them
+    could not be run.
+    """
+
+    values: Mapping[str, Value]
+    run: CardRun | None
+    keeps_outcome: bool | None
+    n_tried: int
+    n_possible: int
+    n_failed: int = 0
+    reason: str = ""
+    is_nearest: bool = True
+
+
+def stored_run(study: StudyFile, scenario: int, values: Mapping[str, Value]) -> CardRun:
+    """Return the run of a scenario that a study holds."""
+    recording, scores = study.recording(scenario), study.scenario_scores(scenario)
+    return _judge(study.meta, study.objective, values, recording, scores)
+
+
+def reason_not_to_run(meta: StudyMeta) -> str:
+    """Return why rounded scenarios of a study are not run again; empty if they can be."""
+    if meta.simulator == IMPORTED_SIMULATOR:
+        return "its recording was imported, and what made it is not known"
+    if meta.suite:
+        return "scenarios of a suite are files of their own; make cards of the study that it was selected from"
+    if meta.simulator.partition(":")[0] not in _SIMULATORS:
+        return f"{meta.simulator} is not started for test cards"
+    # A study may come from anyone, and opening it must run no code that it names.
+    if not all(isinstance(driver, str) and may_be_named_in_file(driver) for driver in meta.drivers.values()):
+        return "a driver of the study is a program of its own, which is not started for test cards"
+    if "reference:" in meta.condition:
+        return "the condition of the study needs runs of a reference driver"
+    if meta.own_metrics:
+        return "a metric of the study is a class of its own"
+    return ""
+
+
+class RoundedRunner:
+    """Runs rounded scenarios of a study as the study ran them. Use it as a context manager."""
+
+    def __init__(self, study: StudyFile, scenario: ScenarioFile) -> None:
+        meta = study.meta
+        self._meta, self._scenario, self._objective = meta, scenario, study.objective
+        self._metrics = meta.create_metrics()
+        drivers = {entity: resolve_driver(driver) for entity, driver in meta.drivers.items()}
+        self._simulator: Simulator = create_simulator(
+            meta.simulator, {**meta.settings, "drivers": drivers}, ego=meta.ego
+        )
+
+    def __enter__(self) -> RoundedRunner:
+        self._simulator.__enter__()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._simulator.__exit__(*exception)
+
+    def choose_rounding(self, original: CardRun, roundings: Sequence[Rounding], n_possible: int) -> RoundedRun:
+        """Run the nearest rounding; if it ends otherwise, run the others, and choose the nearest that does not.
+
+        `roundings` are the nearest of `n_possible`.
+        """
+        nearest, *others = roundings
+        (first,) = self._run([nearest])
+        if isinstance(first, CardRun) and first.ends_like(original):
+            return RoundedRun(nearest.values, first, True, 1, n_possible)
+        tried = [first, *(self._run(others) if others else ())]
+        n_failed = sum(isinstance(run, str) for run in tried)
+        reason = first if isinstance(first, str) else ""
+        for rounding, run in zip(roundings, tried, strict=True):
+            if isinstance(run, CardRun) and run.ends_like(original):
+                return RoundedRun(
+                    rounding.values, run, True, len(tried), n_possible, n_failed, reason, is_nearest=False
+                )
+        if isinstance(first, str):
+            return RoundedRun(nearest.values, None, None, len(tried), n_possible, n_failed, reason)
+        return RoundedRun(nearest.values, first, False, len(tried), n_possible, n_failed)
+
+    def _run(self, roundings: Sequence[Rounding]) -> list[CardRun | str]:
+        """Run scenarios; return what came out of each, or why it could not be run."""
+        concretes = [
+            ConcreteScenario(self._scenario.path, rounding.values, self._scenario, self._meta.seed)
+            for rounding in roundings
+        ]
+        runs: list[CardRun | str] = []
+        try:
+            for rounding, outcome in zip(roundings, run_scenarios(self._simulator, concretes), strict=True):
+                runs.append(self._measure(rounding, outcome) if isinstance(outcome, Recording) else str(outcome))
+        except InputError as error:
+            runs += [str(error)] * (len(roundings) - len(runs))
+        return runs
+
+    def _measure(self, rounding: Rounding, recording: Recording) -> CardRun | str:
+        meta = self._meta
+        try:
+            results = evaluate_metrics(self._metrics, recording, meta.ego, meta.other)
+        except PluginError as error:
+            return str(error)
+        scores = {name: float(result.score) for name, result in results.items()}
+        return _judge(meta, self._objective, rounding.values, recording, scores)
+
+
+def _judge(
+    meta: StudyMeta,
+    objective: Objective,
+    values: Mapping[str, Value],
+    recording: Recording,
+    scores: Mapping[str, float],
+) -> CardRun:
+    is_critical = None
+    if objective.criterion is not None and all(metric.name in scores for metric in objective.metrics):
+        is_critical = objective.is_critical(scores)
+    return CardRun(values, recording, find_meeting(recording, meta.ego, meta.others), scores, is_critical)
