@@ -48,7 +48,7 @@ def scenario_payload(data: ReportData) -> dict[str, Any]:
     outcomes = data.outcomes
     outcome_names = sorted(set(outcomes.values()))
     culprits = {scenario: _culprit(meta.ego, impact) for scenario, impact in data.hardest_impacts.items()}
-    culprit_names = sorted(set(culprits.values()) - {None})
+    culprit_names = sorted({name for name in culprits.values() if name is not None})
     against = [
         [data.score_sources[metric.name].get(row.id) for metric in data.metrics]
         for row in data.rows

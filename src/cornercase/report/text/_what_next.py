@@ -71,9 +71,11 @@ def _describe_for_track(data: ReportData, pairs: Sequence[BoundaryPair]) -> Iter
     repeatable = ""
     if data.summary.meta.repeats == 1 and data.summary.meta.nondeterminism_text:
         repeatable = " Runs differ, so repeat each before."
+    ids = ",".join(str(data.rows[pair.without_collision].id) for pair in pairs)
     yield (
-        f"Proving ground: scenarios without a collision, and the nearest ones with a collision; the border lies between"
-        f" them.{repeatable}"
+        "Proving ground: scenarios without a collision, and the nearest ones with a collision; the border lies between"
+        f" them.{repeatable} 'cornercase report STUDY.db --test-cards --ids {ids} -o cards.html' writes a page for"
+        " each."
     )
     for pair in pairs:
         safe, hit = data.rows[pair.without_collision], data.rows[pair.with_collision]
