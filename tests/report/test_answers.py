@@ -85,7 +85,7 @@ def test_a_share_that_rounds_to_all_is_not_said_to_be_missed_beside_what_was_fou
     summary = replace(crossing.summary, estimates=replace(crossing.summary.estimates, critical=critical))
     text = answer(replace(crossing, summary=summary), "missed").text
     assert "100 %" not in text.partition(". ")[0]
-    assert f"the {critical.n_critical} critical scenarios are single points of it" in text
+    assert f"even around the {critical.n_critical} that were found" in text
 
 
 def test_an_entity_that_is_nearest_where_it_was_placed_is_no_near_miss():

@@ -53,6 +53,14 @@ class Impact:
     manner: Manner
     fault: Fault | None = None
 
+    @property
+    def shown_manner(self) -> Manner:
+        """The manner, but ``"otherwise"`` if two move alike and not the front of one hits the rear of the other."""
+        sides = {"from behind": ("front", "rear"), "its rear": ("rear", "front")}.get(self.manner)
+        if sides is None or self.fault is None or None in self.fault.sides or self.fault.sides == sides:
+            return self.manner
+        return "otherwise"
+
 
 @dataclass(frozen=True)
 class Encounter:

@@ -79,7 +79,7 @@ def _describe_impact(impact: Impact) -> tuple[str, ...]:
         "while it stands": (f"is hit by {name} while it stands",),
         "otherwise": (),
     }
-    return (*specific[impact.manner], f"collides with {name}")
+    return (*specific[impact.shown_manner], f"collides with {name}")
 
 
 def _describe_encounter(outcome: Outcome) -> tuple[str, ...]:

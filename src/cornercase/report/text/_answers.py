@@ -12,7 +12,7 @@ import numpy as np
 from cornercase._common.text.sanitize import escape_control_characters
 from cornercase.clustering._headline import find_headline_aspect, has_useful_clusters
 from cornercase.evidence import Estimate
-from cornercase.metrics._outcome import Fault, Impact, Manner
+from cornercase.metrics._outcome import Fault, Manner
 from cornercase.reduction import ReducedSet
 from cornercase.report._collision_replies import ReplyCounts
 from cornercase.report._estimates import CriticalEstimates
@@ -49,7 +49,7 @@ from cornercase.suite._verdict import worst_state
 _MAX_POINTS = 6
 _MAX_NEAR_MISSES = 5
 _NEGLIGIBLE_SHARE = 0.01
-_NEARLY_ALL: Final = ("over 99 %", "100 %")
+_NEARLY_ALL: Final = 0.9
 _ROLE_NAMES: Final[dict[str, tuple[str, str]]] = {
     "critical prototype": ("prototype of critical ones", "prototypes of critical ones"),
     "prototype": ("prototype", "prototypes"),
@@ -183,7 +183,7 @@ def _answer_collisions(data: ReportData) -> Answer:
     worst, impact = hardest[0]
     hard = f"hardest in scenario {worst}, at a relative speed of {impact.speed:.2g} m/s"
     sentences = [f"Yes: {ego} collides with {hit} of {scenarios}, {hard}."]
-    manners = Counter(_shown_manner(impact) for _, impact in hardest)
+    manners = Counter(impact.shown_manner for _, impact in hardest)
     for manner, description in _MANNERS.items() if len(others) == 1 else ():
         if count := manners[manner]:
             sentences.append(f"{f'In {count}' if count < len(hardest) else 'Each time'} it {description}.")
@@ -200,14 +200,6 @@ def _answer_collisions(data: ReportData) -> Answer:
 
 def _describe_fault_with_reason(fault: Fault, ego: str, other: str) -> str:
     return f"{fault.describe(ego, other)}: {', '.join(fault.reasons)}" if fault.reasons else fault.describe(ego, other)
-
-
-def _shown_manner(impact: Impact) -> Manner:
-    """Return the manner of an impact; one of two that move alike is into a rear only if a front hits it."""
-    sides = {"from behind": ("front", "rear"), "its rear": ("rear", "front")}.get(impact.manner)
-    if sides is None or impact.fault is None or None in impact.fault.sides:
-        return impact.manner
-    return impact.manner if impact.fault.sides == sides else "otherwise"
 
 
 def _answer_replies(data: ReportData, replies: ReplyCounts) -> Answer:
@@ -300,15 +292,12 @@ def _answer_missed(data: ReportData, critical: CriticalEstimates) -> Answer:
     elif estimates.missed_interval_unavailable is not None:
         sentences.append(f"{_describe_share(estimates.missed_fraction.value)} of the critical set.")
         sentences.append(f"There is no interval: {estimates.missed_interval_unavailable}.")
-    elif format_percent(estimates.missed_fraction.low) in _NEARLY_ALL:
+    elif estimates.missed_fraction.low >= _NEARLY_ALL:
         # The share is that of a volume, and single scenarios have none.
-        points = (
-            "one critical scenario is a single point"
-            if critical.n_critical == 1
-            else f"{critical.n_critical} critical scenarios are single points"
-        )
+        found = "one that was" if critical.n_critical == 1 else f"{critical.n_critical} that were"
         sentences.append(
-            f"Nearly all of the critical set: the {points} of it, around which the model predicts nothing critical."
+            "By the model nearly all of the critical set, but it predicts hardly anything critical even around the"
+            f" {found} found, so it is of little use here."
         )
     else:
         sentences.append(

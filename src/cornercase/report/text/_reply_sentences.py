@@ -60,8 +60,8 @@ def _describe_braking(counts: ReplyCounts, ego: str, other: str) -> Iterator[str
         yield f"In {counts.n_without_braking} it does not brake for it."
     if counts.n_seen_too_late:
         yield (
-            f"In {counts.n_seen_too_late} full braking as soon as it could see that coming would not have stopped it"
-            f" before {other}: there, earlier means before it could see that."
+            f"In {counts.n_seen_too_late} full braking was too late once it could see that coming; what avoids these"
+            f" has to act on earlier signs of what {other} is about to do."
         )
 
 
@@ -88,7 +88,8 @@ def _describe_alternatives(counts: ReplyCounts, other: str) -> Iterator[str]:
         )
     yield (
         "What would have avoided them is computed from the recordings, not simulated:"
-        f" {other} goes straight on after the contact. Coming means in sight, and less than 5 s away at these speeds."
+        f" {other} goes straight on after the contact. Coming means in sight, and less than 5 s away if both go"
+        " straight on at these speeds; a cut-in that has only begun does not show it."
     )
 
 

@@ -39,7 +39,8 @@ def _worst_scenario(data: ReportData) -> tuple[int, str]:
     hardest = sorted(data.hardest_impacts.items(), key=lambda item: (-np.nan_to_num(item[1].speed), item[0]))
     if hardest:
         return hardest[0][0], "the hardest collision"
-    if misses := sort_near_misses(data.approaches, {}):
+    misses = sort_near_misses(data.approaches, {})
+    if misses and not data.is_critical.any():
         return misses[0][0], "the nearest miss"
     return data.summary.metrics[data.metrics[0].name].most_critical_id, f"the most critical {data.metrics[0].name}"
 
