@@ -76,7 +76,10 @@ def test_for_the_careful_human_a_cut_in_with_time_to_spare_is_no_danger(gap, col
     aside = np.clip(3.5 * (1.0 - T), 0.0, 3.5)
     assert aside[4] > 2.0 > aside[5]
     run = ahead(gap, 10.0, aside=aside, collides=gap / 10.0)
-    assert judged("cc-human", run).collides is collides
+    outcome = judged("cc-human", run)
+    assert outcome.collides is collides
+    assert f"collides at {gap / 10.0:g} s" in outcome.describe("cc-human")
+    assert ("counts as prevented" in outcome.describe("cc-human")) is not collides
     # Other references have no such end of an encounter.
     assert judged("fsm", run).collides
     # Nor does it exist for an entity that was ahead all the time.

@@ -248,3 +248,29 @@ def test_roads_say_who_is_on_the_wrong_side(tmp_path):
     assert fault.reasons == ("Other is on the wrong side of the road",)
     # A file that is gone says nothing.
     assert judged(replace(recording, road_file=tmp_path / "gone.xodr")).who == "undecided"
+
+
+BEND = """<OpenDRIVE><header revMajor="1" revMinor="6"/><road id="1" length="300" junction="-1"><planView>
+<geometry s="0" x="0" y="0" hdg="0" length="300"><arc curvature="0.0025"/></geometry></planView><lanes><laneSection s="0">
+<center><lane id="0" type="none"/></center><right>
+<lane id="-1" type="driving"><width sOffset="0" a="3.5" b="0" c="0" d="0"/></lane>
+<lane id="-2" type="driving"><width sOffset="0" a="3.5" b="0" c="0" d="0"/></lane></right></laneSection></lanes></road></OpenDRIVE>"""
+
+
+def in_the_bend(start, aside, speed, until=6.0):
+    """Drive along the bend with a radius of 400 m to the left; `aside` is a function of time, in m to its right."""
+    kind, time, driven, _, _, speeds = straight(start, 0.0, EAST, speed, until=until)
+    radius, angle = 400.0 + aside(time), driven / 400.0
+    x, y = radius * np.sin(angle), 400.0 - radius * np.cos(angle)
+    return kind, time, x, y, angle - np.gradient(aside(time), time) / speed, speeds
+
+
+def test_who_keeps_its_lane_in_a_bend_does_not_move_sideways(tmp_path):
+    roads = tmp_path / "bend.xodr"
+    roads.write_text(BEND)
+    ego = in_the_bend(0.0, lambda time: np.full(len(time), 5.25), 25.0)
+    truck = in_the_bend(78.0, lambda time: 1.75 + 3.5 * np.clip((time - 4.0) / 1.5, 0.0, 1.0), 9.0)
+    recording = crash(ego, truck)
+    fault = judged(replace(recording, road_file=roads))
+    assert fault.who == "other", fault
+    assert judged(swapped(replace(recording, road_file=roads))).who == "ego"

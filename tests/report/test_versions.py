@@ -120,7 +120,7 @@ def test_it_says_what_to_fix_and_what_was_not_tested(versions, tmp_path):
     if fresh:
         assert any(f"A new collision ({ident}), with Pedestrian at " in steps for ident in fresh)
     assert "cornercase replay new.db " in steps
-    assert "in a region of less than 9.5 % of the space" in steps
+    assert "miss a region of 9.5 % of the space with a probability of 5 %" in steps
     assert "Anything outside of the ranges of the parameters" in steps
 
 

@@ -106,7 +106,7 @@ def test_its_report_tells_the_verdicts_of_each_scenario(explored, ran, tmp_path)
     questions = re.findall("<h3>(.*?)</h3>", page.partition('<section id="verdicts"')[0])
     # Only if somebody analysed the run, as a test above does.
     assert [one for one in questions if one != "Which kinds are there?"] == [
-        "Did it pass?", "Does it collide?", "What do I fix?", "What failed, and why?",
+        "Did it pass?", "Does it collide?", "What do I fix?", "What next?", "How sure is that?", "What could not be run?",
     ]  # fmt: skip
     cells = [
         re.findall("<td class=text.*?>(.*?)</td>", row) for row in re.findall("<tr data-verdict=.*?>(.*?)</tr>", page)

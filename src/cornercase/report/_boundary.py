@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,19 +19,17 @@ class BoundaryPair:
     with_collision: int
 
 
-def find_pairs(data: ReportData, outcomes: Sequence[str], count: int = 5) -> list[tuple[int, int, float]]:
-    """Find the nearest pairs of rows with different outcomes, each parameter weighed as `boundary_weights` says."""
-    points = np.array([row.point for row in data.rows])
-    return find_boundary_pairs(points, outcomes, boundary_weights(data), count)
-
-
 def find_collision_boundary(data: ReportData, count: int) -> list[BoundaryPair]:
-    """Find the nearest pairs with and without a collision; empty if all end alike, or the space was not explored."""
+    """Find the nearest pairs with and without a collision; empty if all end alike, or the space was not explored.
+
+    All parameters count alike: what hardly changes the score may still decide whether there is a collision.
+    """
     if not data.summary.represents_space:
         return []
     others = data.summary.meta.others
     collides = [not data.entities_hit[row.id].isdisjoint(others) for row in data.rows]
-    pairs = find_pairs(data, ["collides" if hit else "does not" for hit in collides], count)
+    points = np.array([row.point for row in data.rows])
+    pairs = find_boundary_pairs(points, ["collides" if hit else "does not" for hit in collides], None, count)
     return [
         BoundaryPair(second, first) if collides[first] else BoundaryPair(first, second) for first, second, _ in pairs
     ]

@@ -18,6 +18,7 @@ class ReferenceCount:
     n_prevented: int
     n_colliding: int
     n_not_applicable: int  # scenarios outside the model of the reference
+    n_colliding_later: int = 0  # of the prevented ones: a collision that the regulation does not count
 
     @property
     def n_scenarios(self) -> int:
@@ -35,8 +36,14 @@ def count_reference_results(study: StudyFile) -> dict[str, ReferenceCount]:
             names += Requirement.parse(text).expression.reference_drivers
         counts = {}
         for reference in dict.fromkeys(names):
-            collisions = [count.collides for count in study.reference_outcomes(reference).values()]
-            counts[reference] = ReferenceCount(collisions.count(False), collisions.count(True), collisions.count(None))
+            outcomes = study.reference_outcomes(reference).values()
+            collisions = [outcome.collides for outcome in outcomes]
+            counts[reference] = ReferenceCount(
+                collisions.count(False),
+                collisions.count(True),
+                collisions.count(None),
+                sum(outcome.collides is False and outcome.time is not None for outcome in outcomes),
+            )
         return counts
 
 
@@ -50,4 +57,9 @@ def describe_references(references: Mapping[str, ReferenceCount]) -> str:
         sentences.append(
             f" {scenarios} run again with {name} at the wheel, which {', '.join(results[:-1])} and {results[-1]}."
         )
+        if count.n_colliding_later:
+            sentences.append(
+                f" {count.n_colliding_later} of the prevented ones collide later: the other cut in with a time to"
+                " collision above 2 s, in which the regulation sees no danger."
+            )
     return "".join(sentences)

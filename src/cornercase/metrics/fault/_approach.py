@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from cornercase._common.geometry.boxes import wrap_angle
 from cornercase.metrics.fault._party import Party, boxes_touch
+
+if TYPE_CHECKING:
+    from cornercase.roads._network import RoadNetwork
 
 _LOOK_BACK: Final = 6.0
 """Time in s before the contact from which on the approach is considered."""
@@ -33,7 +36,8 @@ class ConflictApproach:
     rad from 0 to π. `turns` are the changes of direction of each in rad, positive to the left. `in_corridor` is the
     time before the contact in s since when each is without interruption in the corridor that the other has still to
     drive, and `always_in_corridor` says whether it was so from the beginning. `shifts` are the distances in m by which
-    each left its first line, positive towards the side on which the other was.
+    each left its first line, positive towards the side on which the other was; `along_road` says whether the line of
+    both is that of the road, else it is straight.
     """
 
     angle: float
@@ -42,14 +46,18 @@ class ConflictApproach:
     in_corridor: tuple[float, float]
     always_in_corridor: tuple[bool, bool]
     shifts: tuple[float, float]
+    along_road: bool
 
 
-def describe_approach(first: Party, second: Party, contact: float) -> ConflictApproach:
+def describe_approach(
+    first: Party, second: Party, contact: float, network: RoadNetwork | None = None
+) -> ConflictApproach:
     """Describe how two parties approached each other in the last 6 s before their contact."""
     begin = max(float(first.time[0]), float(second.time[0]), contact - _LOOK_BACK)
     pair = (first, second)
     starts = [party.direction_at(begin) for party in pair]
     ends = [party.direction_at(contact) for party in pair]
+    by_road = None if network is None else _shifts_along_road(network, pair, contact, begin)
     times = [_time_in_corridor(party, other, contact, begin) for party, other in ((first, second), (second, first))]
     return ConflictApproach(
         angle=abs(float(wrap_angle(ends[1] - ends[0]))),
@@ -57,7 +65,8 @@ def describe_approach(first: Party, second: Party, contact: float) -> ConflictAp
         turns=(float(wrap_angle(ends[0] - starts[0])), float(wrap_angle(ends[1] - starts[1]))),
         in_corridor=(times[0], times[1]),
         always_in_corridor=(times[0] >= contact - begin - _STEP, times[1] >= contact - begin - _STEP),
-        shifts=(_shift(first, second, contact, begin), _shift(second, first, contact, begin)),
+        shifts=by_road or (_shift(first, second, contact, begin), _shift(second, first, contact, begin)),
+        along_road=by_road is not None,
     )
 
 
@@ -71,6 +80,32 @@ def _time_in_corridor(party: Party, other: Party, contact: float, begin: float) 
     overlaps &= path >= ends[1:, None] - _SPACING
     is_free = ~overlaps.any(axis=1)
     return _STEP * (int(is_free.argmax()) if is_free.any() else len(instants))
+
+
+def _shifts_along_road(
+    network: RoadNetwork, pair: tuple[Party, Party], contact: float, begin: float
+) -> tuple[float, float] | None:
+    """Distances in m by which both left their first lines along one road; None if they are not on one all the time.
+
+    In a bend, whoever keeps its lane leaves a straight line.
+    """
+    times = np.array([begin, contact])
+    x, y = (
+        np.concatenate([np.interp(times, party.time, values) for party, values in zip(pair, lines, strict=True)])
+        for lines in ([party.x for party in pair], [party.y for party in pair])
+    )
+    coordinates = network.locate(x, y)
+    road = int(coordinates.road[0])
+    if (
+        (coordinates.lane == 0).any()
+        or (coordinates.road != road).any()
+        or network.roads[road].junction not in ("", "-1")
+    ):
+        return None
+    road_x, road_y, heading = network.road_to_xy_heading(road, coordinates.s, np.zeros(4))
+    aside = (y - road_y) * np.cos(heading) - (x - road_x) * np.sin(heading)
+    towards = 1.0 if aside[2] >= aside[0] else -1.0
+    return float(towards * (aside[1] - aside[0])), float(-towards * (aside[3] - aside[2]))
 
 
 def _shift(party: Party, other: Party, contact: float, begin: float) -> float:

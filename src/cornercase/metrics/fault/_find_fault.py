@@ -59,7 +59,8 @@ def find_fault(recording: Recording, ego: str, collision: Collision) -> Fault:
     3. *Rear end*, in about the same direction: who drives into the rear of the other (safe distance: definition 1 of
        Shalev-Shwartz et al. 2017; Article 13). If the other cut in, it is at fault if the time to collision at its
        intrusion was not above Δv / (2 · 6 m/s²) + 0.35 s (UN Regulation No. 157, 5.2.5.2).
-    4. *Lane change*: of two that move in the same direction and touch at a side, who left its line (Article 14).
+    4. *Lane change*: of two that move in the same direction and touch at a side, who left its line (Article 14). The
+       line is that of the road, if both are on one, else straight on.
     5. *Right of way*: who has to yield at a junction by the road file: its priorities, its signs, else who does not
        come from the right (Article 18). The reason says whether the other could still have braked.
     6. *Turning*: of two that came towards each other, who turns across the path of the other (Article 16).
@@ -101,7 +102,7 @@ class _Case:
 
     @cached_property
     def approach(self) -> ConflictApproach:
-        return describe_approach(*self.parties, self.contact.time)
+        return describe_approach(*self.parties, self.contact.time, self._roads)
 
     def chance(self, k: int) -> Chance:
         """Chance of a party to avoid the other."""
@@ -217,7 +218,8 @@ class _Case:
     def _rule_lane_change(self) -> _Ruling:
         shifts, turns = self.approach.shifts, self.approach.turns
         drifting = [k for k in (0, 1) if shifts[k] >= _LEFT_LINE]
-        if min(map(abs, turns)) >= STRAIGHT and turns[0] * turns[1] > 0.0:
+        bends = min(map(abs, turns)) >= STRAIGHT and turns[0] * turns[1] > 0.0
+        if bends and not self.approach.along_road:
             return _Ruling((), "lane change", "both turn, and the motion does not show who left its lane")
         if len(drifting) == 1:
             (k,) = drifting
@@ -259,7 +261,8 @@ class _Case:
             (k,) = left
             return _Ruling((k,), "oncoming", f"{{{k}}} leaves its line by {abs(shifts[k]):.1f} m, towards {{{1 - k}}}")
         turns = self.approach.turns
-        if turns[0] * turns[1] > 0.0 and min(map(abs, turns)) >= STRAIGHT:
+        bends = turns[0] * turns[1] > 0.0 and min(map(abs, turns)) >= STRAIGHT
+        if bends and not self.approach.along_road:
             return _Ruling((), "oncoming", "both turn, and the motion does not show who left its lane")
         return _Ruling((0, 1), "oncoming", "{0} and {1} leave their lines, towards each other")
 

@@ -12,11 +12,13 @@ from cornercase.study import StudyFile
 from cornercase.suite import Comparison, ScenarioPair
 
 _MAX_NAMED: Final = 3
+_MAX_ON_TRACK: Final = 5
 
 
 def describe_next_steps(comparison: Comparison, new: StudyFile) -> Iterator[tuple[str, tuple[str, ...]]]:
     """Yield questions with their answers; scenarios are in brackets."""
     yield "What to fix?", tuple(_describe_fixes(comparison, new))
+    yield "What next?", tuple(_describe_hand_over(comparison))
     yield "What was not tested?", tuple(_describe_gaps(comparison))
 
 
@@ -51,16 +53,21 @@ def _describe_fixes(comparison: Comparison, new: StudyFile) -> Iterator[str]:
         yield "Nothing is worse, and nothing that both ran collides with the new version."
     elif not lost and not comparison.worse:
         yield "Nothing is worse; these collisions were there before."
-    if hits or comparison.worse:
-        yield (
-            "To send one to somebody: cornercase replay"
-            f" {quote_name(comparison.names[1])} {_first_to_send(comparison, hardest(lost or hits))} -o run.html"
-        )
 
 
-def _first_to_send(comparison: Comparison, hits: list[ScenarioPair]) -> int:
-    ids = [pair.ids for pair in hits] or [ids for finding in comparison.worse for ids in finding.ids]
-    return ids[0][1] if ids else 1
+def _describe_hand_over(comparison: Comparison) -> Iterator[str]:
+    """Yield who gets what, and what to drive on a proving ground."""
+    findings = (*comparison.worse, *comparison.better)
+    # Collisions that are new or gone come first; each scenario once.
+    changed = list(dict.fromkeys(ids for finding in findings for ids in finding.ids))[:_MAX_ON_TRACK]
+    name = quote_name(comparison.names[1])
+    if comparison.worse and changed:
+        yield f"Developer: this page, and the replay of one: cornercase replay {name} {changed[0][1]} -o run.html"
+    yield "Safety and authority: the verdict above, with the tests beside it, and this page for the details."
+    if changed:
+        ids, named = ",".join(str(pair_ids[1]) for pair_ids in changed), ", ".join(map(format_ids, changed))
+        steps = f"cornercase report {name} --test-cards --ids {ids} -o cards.html"
+        yield f"Proving ground: what changed, with both versions ({named}): {steps}"
 
 
 def _describe_gaps(comparison: Comparison) -> Iterator[str]:
@@ -77,8 +84,8 @@ def _describe_gaps(comparison: Comparison) -> Iterator[str]:
         # With this share, all of n random draws miss the region with a probability of 5 %.
         share = 1.0 - 0.05 ** (1.0 / n_pairs)
         yield (
-            f"What changed only in a small part of the space: of {n_pairs} scenarios that fill it, none need lie in a"
-            f" region of less than {100.0 * share:.1f} % of the space (with a probability of more than 5 %)."
+            f"What changed only in a small part of the space: {n_pairs} scenarios that fill it miss a region of"
+            f" {100.0 * share:.1f} % of the space with a probability of 5 %, and smaller ones more probably."
         )
     else:
         yield "How much of the space changed: no scenarios that fill the space ran with both versions."

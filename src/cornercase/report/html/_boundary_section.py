@@ -5,8 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from html import escape
 
+import numpy as np
+
 from cornercase._common.text.sanitize import escape_control_characters
-from cornercase.report._boundary import boundary_weights, find_pairs
+from cornercase.evidence._boundary_pairs import find_boundary_pairs
+from cornercase.report._boundary import boundary_weights
 from cornercase.report._report_data import ReportData
 from cornercase.report.html._tables import Section, make_section, render_table
 from cornercase.report.text._phrases import append_unit, format_value
@@ -20,7 +23,8 @@ def render_boundary_pairs(data: ReportData) -> Iterator[Section]:
         data.outcomes.get(row.id, "critical" if is_critical else "not critical")
         for row, is_critical in zip(data.rows, data.is_critical, strict=True)
     ]
-    pairs = find_pairs(data, outcomes)
+    points, weights = np.array([row.point for row in data.rows]), boundary_weights(data)
+    pairs = find_boundary_pairs(points, outcomes, weights)
     if not pairs:
         return
     links, rows = [], []
@@ -28,7 +32,7 @@ def render_boundary_pairs(data: ReportData) -> Iterator[Section]:
         ids = data.rows[first].id, data.rows[second].id
         links.append(f"<a href='#id={ids[0]}&amp;beside={ids[1]}'>{ids[0]} beside {ids[1]}</a>")
         rows.append([f"{ids[0]} and {ids[1]}", outcomes[first], outcomes[second], _describe_step(data, first, second)])
-    weighed = "" if boundary_weights(data) is None else ", each parameter weighed by its share of the score's variance"
+    weighed = "" if weights is None else ", each parameter weighed by its share of the score's variance"
     yield make_section(
         "boundary",
         "Where the outcome changes",

@@ -19,7 +19,17 @@ from cornercase.suite import Requirement, Verdict
 
 # What needs a look comes first.
 _ORDER: Final = ("failed", "inconclusive", "passed")
-_HEAD: Final = ("verdict", "file", "why", "requirement", "margin", "nearest", "critical", "kind", "scenario")
+_HEAD: Final = (
+    "verdict",
+    "file",
+    "why",
+    "requirement",
+    "margin",
+    "nearest",
+    "critical",
+    "kind when chosen",
+    "scenario",
+)
 _MAX_LISTED: Final = 6
 
 

@@ -41,7 +41,11 @@ from cornercase.report.text._phrases import (
 )
 from cornercase.report.text._reply_sentences import describe_replies
 from cornercase.report.text._tested_space import describe_tested_space
-from cornercase.report.text._what_next import describe_next_steps
+from cornercase.report.text._what_next import (
+    describe_next_steps,
+    describe_next_steps_after_suite,
+    describe_repeatability,
+)
 from cornercase.study._import_recordings import IMPORTED_SIMULATOR
 from cornercase.suite._verdict import worst_state
 
@@ -103,6 +107,9 @@ def page_answers(data: ReportData) -> Iterator[Answer]:
         yield from _answer_search(data)
     elif summary.analyses:
         yield _answer_clusters(data)
+    if data.verdicts:
+        yield Answer("next", "What next?", *describe_next_steps_after_suite(data))
+        yield Answer("sure", "How sure is that?", describe_repeatability(data))
     yield _answer_failures(data)
 
 
@@ -294,10 +301,10 @@ def _answer_missed(data: ReportData, critical: CriticalEstimates) -> Answer:
         sentences.append(f"There is no interval: {estimates.missed_interval_unavailable}.")
     elif estimates.missed_fraction.low >= _NEARLY_ALL:
         # The share is that of a volume, and single scenarios have none.
-        found = "one that was" if critical.n_critical == 1 else f"{critical.n_critical} that were"
+        subject = "one that was" if critical.n_critical == 1 else f"{critical.n_critical} that were"
         sentences.append(
             "By the model nearly all of the critical set, but it predicts hardly anything critical even around the"
-            f" {found} found, so it is of little use here."
+            f" {subject} found, so it is of little use here."
         )
     else:
         sentences.append(
@@ -462,7 +469,9 @@ def describe_front_ends(data: ReportData) -> Iterator[str]:
 
 
 def _answer_failures(data: ReportData) -> Answer:
-    name, question, failed = "failed", "What failed, and why?", data.failed
+    name, failed = "failed", data.failed
+    # "Failed" is a verdict, too.
+    question = "What could not be run?" if data.verdicts else "What failed, and why?"
     total = data.summary.n_run + data.summary.n_failed
     if not failed:
         return Answer(

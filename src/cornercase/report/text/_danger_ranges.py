@@ -36,8 +36,8 @@ def describe_danger_ranges(data: ReportData) -> Iterator[str]:
         if _is_clearly_narrower(column, dangerous, parameter, _CHANCE / len(numeric)):
             low, high = float(column[dangerous].min()), float(column[dangerous].max())
             where = _format_where(low, high, parameter)
-            found = f"All {int(dangerous.sum())} {what} that were found"
-            yield f"{found} have {parameter.name} {where}, of {format_range(parameter)}."
+            subject = f"All {int(dangerous.sum())} {what} that were found"
+            yield f"{subject} have {parameter.name} {where}, of {format_range(parameter)}."
 
 
 def _is_clearly_narrower(column: FloatArray, dangerous: BoolArray, parameter: Parameter, chance: float) -> bool:

@@ -16,6 +16,7 @@ from cornercase.study._import_recordings import IMPORTED_SIMULATOR
 
 # Scenarios to be driven on a proving ground, which costs a day.
 _MAX_ON_TRACK: Final = 5
+_OWN_FAULT: Final = ("ego", "both")
 
 
 def describe_next_steps(data: ReportData) -> tuple[str, tuple[str, ...]]:
@@ -25,7 +26,10 @@ def describe_next_steps(data: ReportData) -> tuple[str, tuple[str, ...]]:
     text = f"Give scenario {scenario}, {what}, to the developer"
     if pairs:
         listed = join_with_and([f"scenario {data.rows[pair.without_collision].id}" for pair in pairs])
-        text += f", and drive {listed} on the proving ground: these are nearest to a collision"
+        text += f", and drive {listed} on the proving ground: their values are nearest to those of a collision"
+    elif misses := sort_near_misses(data.approaches, data.hardest_impacts)[:_MAX_ON_TRACK]:
+        listed = join_with_and([f"scenario {scenario}" for scenario, _ in misses])
+        text += f", and drive {listed} on the proving ground: the nearest misses"
     points = [
         *_describe_for_developer(data, scenario),
         *_describe_for_deciders(data),
@@ -34,10 +38,60 @@ def describe_next_steps(data: ReportData) -> tuple[str, tuple[str, ...]]:
     return f"{text}. In commands, STUDY.db stands for this study.", tuple(points)
 
 
+def describe_next_steps_after_suite(data: ReportData) -> tuple[str, tuple[str, ...]]:
+    """Say what to do after a run of a suite: what failed goes to the developer, and may be driven on the track."""
+    failed = [
+        scenario
+        for scenario, verdicts in data.verdicts.items()
+        if any(verdict.state == "failed" for verdict in verdicts)
+    ]
+    narrow = [
+        row.id
+        for row, is_critical in zip(data.rows, data.is_critical.tolist(), strict=True)
+        if is_critical and row.id not in failed
+    ]
+    parts = [
+        f"{count} that {what}"
+        for count, what in (
+            (len(failed), "failed"),
+            (len(narrow), "passed but is critical" if len(narrow) == 1 else "passed but are critical"),
+        )
+        if count
+    ]
+    track = [*failed, *narrow][:_MAX_ON_TRACK]
+    text = f"Give the developer {join_with_and(parts)}." if parts else "Nothing failed, and nothing is critical."
+    points = [f"Developer: the file, and 'cornercase replay STUDY.db {track[0]} -o run.html'."] if track else []
+    points.append(
+        "Safety and authority: this page, the suite with its manifest.json, and the report of the study that the suite"
+        " was made from, which says what it leaves out."
+    )
+    if track:
+        points.append(
+            f"Proving ground: {_name_cards(track)} of {join_with_and([f'scenario {scenario}' for scenario in track])}."
+        )
+    return f"{text} In commands, STUDY.db stands for this run.", tuple(points)
+
+
+def describe_repeatability(data: ReportData) -> str:
+    """Say how sure a run of a suite is: whether it would be the same again."""
+    meta = data.summary.meta
+    if meta.nondeterminism_text:
+        return f"Runs differ: {meta.nondeterminism_text}. A verdict near its limit may be another the next time."
+    if meta.may_draw_random_numbers:
+        return "Recordings may depend on the seed: a driver is a class of its own, or a sensor is random."
+    if meta.repeatability.get("same"):
+        return "The first scenario was run twice, with the same recording, so verdicts are the same the next time."
+    return "It is not known whether a second run gives the same; --repeats runs each scenario several times."
+
+
 def _worst_scenario(data: ReportData) -> tuple[int, str]:
     """Return the id of the scenario to look at first, and what it is."""
     hardest = sorted(data.hardest_impacts.items(), key=lambda item: (-np.nan_to_num(item[1].speed), item[0]))
     if hardest:
+        # What the ego is not at fault for, its developer may not have to mend.
+        own = [(scenario, impact) for scenario, impact in hardest if impact.fault and impact.fault.who in _OWN_FAULT]
+        if own and own[0] != hardest[0]:
+            return own[0][0], f"the hardest collision for which {data.summary.meta.ego} is at fault"
         return hardest[0][0], "the hardest collision"
     misses = sort_near_misses(data.approaches, {})
     if misses and not data.is_critical.any():
@@ -67,22 +121,30 @@ def _describe_for_deciders(data: ReportData) -> Iterator[str]:
 
 def _describe_for_track(data: ReportData, pairs: Sequence[BoundaryPair]) -> Iterator[str]:
     if not pairs:
-        yield "Proving ground: nothing to name, since no two scenarios lie on both sides of a collision."
+        misses = sort_near_misses(data.approaches, data.hardest_impacts)[:_MAX_ON_TRACK]
+        yield (
+            "Proving ground: no two scenarios lie on both sides of a collision"
+            + (f". {_name_cards([scenario for scenario, _ in misses])} of the nearest misses." if misses else ".")
+        )
         return
     repeatable = ""
     if data.summary.meta.repeats == 1 and data.summary.meta.nondeterminism_text:
         repeatable = " Runs differ, so repeat each before."
-    ids = ",".join(str(data.rows[pair.without_collision].id) for pair in pairs)
+    cards = _name_cards([data.rows[pair.without_collision].id for pair in pairs])
     yield (
         "Proving ground: scenarios without a collision, and the nearest ones with a collision; the border lies between"
-        f" them.{repeatable} 'cornercase report STUDY.db --test-cards --ids {ids} -o cards.html' writes a page for"
-        " each."
+        f" them.{repeatable} {cards} of the former."
     )
     for pair in pairs:
         safe, hit = data.rows[pair.without_collision], data.rows[pair.with_collision]
         values = ", ".join(f"{parameter.name} {_format(parameter, safe.values)}" for parameter in data.parameters)
         steps = ", ".join(_describe_steps(data.parameters, safe.values, hit.values))
         yield f"Scenario {safe.id}: {values}; it collides in scenario {hit.id}, with {steps}."
+
+
+def _name_cards(scenarios: Sequence[int]) -> str:
+    ids = ",".join(map(str, scenarios))
+    return f"'cornercase report STUDY.db --test-cards --ids {ids} -o cards.html' writes a page for each"
 
 
 def _format(parameter: Parameter, values: Mapping[str, Value]) -> str:

@@ -9,6 +9,7 @@ from typing import Final
 from cornercase._common.text.sanitize import quote_name
 from cornercase.suite.compare._comparison import (
     ALPHA,
+    CRITICAL_SETS_METHOD,
     ChangeTest,
     ClusterChange,
     Comparison,
@@ -133,6 +134,9 @@ def _describe_tests(comparison: Comparison) -> Iterator[str]:
     for test in facts:
         claim = "more than chance" if test.corrected <= ALPHA else "that may be chance"
         p = f"p = {test.p:.2g}, {test.corrected:.2g} after correction for {_count(len(comparison.tests), 'test')}"
+        if test.method == CRITICAL_SETS_METHOD:
+            yield f"Draws of both critical sets, whether their shares of the space are the same: {p}; {claim}."
+            continue
         if test.differ is None:
             yield (
                 f"Fisher's exact test, whether {_share_text(test)} in both samples ({test.old} and {test.new}"
@@ -147,6 +151,12 @@ def _describe_tests(comparison: Comparison) -> Iterator[str]:
             f"McNemar's exact test on {test.old} pairs, whether as many scenarios {event} as {end}: {came} and {went};"
             f" {p}; {claim}."
         )
+    for test in comparison.tests:
+        if test.about not in ("collision", "critical") and test.differ != 0 and test.corrected <= ALPHA:
+            yield (
+                f"{test.method} test of {test.about}: p = {test.p:.2g}, {test.corrected:.2g} after"
+                f" correction for {_count(len(comparison.tests), 'test')}; more than chance."
+            )
     if comparison.is_deterministic and any(test.differ for test in facts):
         yield (
             "Runs are deterministic, so each pair that differs shows a change; the tests say whether it is more than a"

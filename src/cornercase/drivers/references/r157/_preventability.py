@@ -31,7 +31,7 @@ class ReferenceOutcome:
     """Outcome of a scenario with a reference driver in control of the ego.
 
     `collides` is None if the regulation does not define the reference driver for this scenario. `time` is the time of
-    the collision in s.
+    the collision in s; it is given too where a later collision does not count, and `collides` is False.
     """
 
     collides: bool | None
@@ -41,6 +41,11 @@ class ReferenceOutcome:
         """Describe the outcome as part of a sentence; `driver` is the name of the reference driver."""
         if self.collides is None:
             return f"{driver} does not cover this scenario, only vehicles ahead that move in about its own direction"
+        if not self.collides and self.time is not None:
+            return (
+                f"for {driver} it counts as prevented, though it collides at {self.time:.6g} s: the vehicle cut in with"
+                " a time to collision above 2 s, in which the regulation sees no danger"
+            )
         if not self.collides:
             return f"{driver} prevents it"
         when = "" if self.time is None else f", and collides at {self.time:.6g} s"
@@ -79,9 +84,10 @@ def assess_preventability(
             run, ego, _collision_partner(collision, ego), collision.time
         ):
             return ReferenceOutcome(None)
-    if collision is None or (name == "cc-human" and _is_cut_in_over_before(run, ego, collision)):
+    if collision is None:
         return ReferenceOutcome(False)
-    return ReferenceOutcome(True, float(collision.time))
+    is_over = name == "cc-human" and _is_cut_in_over_before(run, ego, collision)
+    return ReferenceOutcome(not is_over, float(collision.time))
 
 
 def _first_collision(recording: Recording, ego: str) -> Collision | None:
