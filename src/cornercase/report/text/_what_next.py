@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
@@ -35,7 +36,7 @@ def describe_next_steps(data: ReportData) -> tuple[str, tuple[str, ...]]:
         *_describe_for_deciders(data),
         *_describe_for_track(data, pairs),
     ]
-    return f"{text}. In commands, STUDY.db stands for this study.", tuple(points)
+    return f"{text}.", tuple(points)
 
 
 def describe_next_steps_after_suite(data: ReportData) -> tuple[str, tuple[str, ...]]:
@@ -60,16 +61,16 @@ def describe_next_steps_after_suite(data: ReportData) -> tuple[str, tuple[str, .
     ]
     track = [*failed, *narrow][:_MAX_ON_TRACK]
     text = f"Give the developer {join_with_and(parts)}." if parts else "Nothing failed, and nothing is critical."
-    points = [f"Developer: the file, and 'cornercase replay STUDY.db {track[0]} -o run.html'."] if track else []
+    study = shlex.quote(data.file_name)
+    points = [f"Developer: the file, and 'cornercase replay {study} {track[0]} -o run.html'."] if track else []
     points.append(
         "Safety and authority: this page, the suite with its manifest.json, and the report of the study that the suite"
         " was made from, which says what it leaves out."
     )
     if track:
-        points.append(
-            f"Proving ground: {_name_cards(track)} of {join_with_and([f'scenario {scenario}' for scenario in track])}."
-        )
-    return f"{text} In commands, STUDY.db stands for this run.", tuple(points)
+        listed = join_with_and([f"scenario {scenario}" for scenario in track])
+        points.append(f"Proving ground: {_name_cards(data, track)} of {listed}.")
+    return text, tuple(points)
 
 
 def describe_repeatability(data: ReportData) -> str:
@@ -80,7 +81,7 @@ def describe_repeatability(data: ReportData) -> str:
     if meta.may_draw_random_numbers:
         return "Recordings may depend on the seed: a driver is a class of its own, or a sensor is random."
     if meta.repeatability.get("same"):
-        return "The first scenario was run twice, with the same recording, so verdicts are the same the next time."
+        return "The first scenario was run twice, with the same recording: verdicts should be the same the next time."
     return "It is not known whether a second run gives the same; --repeats runs each scenario several times."
 
 
@@ -100,7 +101,8 @@ def _worst_scenario(data: ReportData) -> tuple[int, str]:
 
 
 def _describe_for_developer(data: ReportData, scenario: int) -> Iterator[str]:
-    replay = f"'cornercase replay STUDY.db {scenario} -o run.html' writes its replay"
+    study = shlex.quote(data.file_name)
+    replay = f"'cornercase replay {study} {scenario} -o run.html' writes its replay"
     reduced = data.summary.reduced_set
     file = next((item.file for item in (reduced.scenarios if reduced else ()) if item.id == scenario), None)
     if file is not None:
@@ -108,11 +110,12 @@ def _describe_for_developer(data: ReportData, scenario: int) -> Iterator[str]:
     elif data.summary.meta.simulator == IMPORTED_SIMULATOR or data.summary.meta.suite:
         yield f"Developer: {replay}."
     else:
-        yield (f"Developer: 'cornercase reduce STUDY.db --ids {scenario} -o chosen' writes it as .xosc, {replay}.")
+        yield (f"Developer: 'cornercase reduce {study} --ids {scenario} -o chosen' writes it as .xosc, {replay}.")
 
 
 def _describe_for_deciders(data: ReportData) -> Iterator[str]:
-    page = "Safety and authority: one page, by 'cornercase report STUDY.db --one-page -o summary.html'"
+    study = shlex.quote(data.file_name)
+    page = f"Safety and authority: one page, by 'cornercase report {study} --one-page -o summary.html'"
     if data.summary.reduced_set is not None:
         yield f"{page}, with manifest.json of the reduced set, and this page for the details."
     else:
@@ -124,13 +127,13 @@ def _describe_for_track(data: ReportData, pairs: Sequence[BoundaryPair]) -> Iter
         misses = sort_near_misses(data.approaches, data.hardest_impacts)[:_MAX_ON_TRACK]
         yield (
             "Proving ground: no two scenarios lie on both sides of a collision"
-            + (f". {_name_cards([scenario for scenario, _ in misses])} of the nearest misses." if misses else ".")
+            + (f". {_name_cards(data, [scenario for scenario, _ in misses])} of the nearest misses." if misses else ".")
         )
         return
     repeatable = ""
     if data.summary.meta.repeats == 1 and data.summary.meta.nondeterminism_text:
         repeatable = " Runs differ, so repeat each before."
-    cards = _name_cards([data.rows[pair.without_collision].id for pair in pairs])
+    cards = _name_cards(data, [data.rows[pair.without_collision].id for pair in pairs])
     yield (
         "Proving ground: scenarios without a collision, and the nearest ones with a collision; the border lies between"
         f" them.{repeatable} {cards} of the former."
@@ -142,9 +145,10 @@ def _describe_for_track(data: ReportData, pairs: Sequence[BoundaryPair]) -> Iter
         yield f"Scenario {safe.id}: {values}; it collides in scenario {hit.id}, with {steps}."
 
 
-def _name_cards(scenarios: Sequence[int]) -> str:
+def _name_cards(data: ReportData, scenarios: Sequence[int]) -> str:
     ids = ",".join(map(str, scenarios))
-    return f"'cornercase report STUDY.db --test-cards --ids {ids} -o cards.html' writes a page for each"
+    study = shlex.quote(data.file_name)
+    return f"'cornercase report {study} --test-cards --ids {ids} -o cards.html' writes a page for each"
 
 
 def _format(parameter: Parameter, values: Mapping[str, Value]) -> str:
