@@ -83,9 +83,10 @@ def simulate(
         write_osi(output, recording, ego if ego in recording.names else None)
     else:
         recording.to_csv(output)
-    out.print(f"{len(recording.names)} entities, {recording.time[-1]:g} s, written to {output}")
     for collision in recording.collisions:
         out.print(f"{' and '.join(collision.entities)} collide at {collision.time:g} s")
+    contacts = "" if recording.collisions else ", no collision"
+    out.print(f"{len(recording.names)} entities, {recording.time[-1]:g} s{contacts}, written to {output}")
 
 
 def _print_folder_result(result: SimulatedFolder) -> None:

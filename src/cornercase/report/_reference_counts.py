@@ -51,7 +51,10 @@ def describe_references(references: Mapping[str, ReferenceCount]) -> str:
     """Describe the results of reference drivers, one sentence for each; each sentence begins with a space."""
     sentences = []
     for name, count in references.items():
-        results = [f"prevents {count.n_prevented}", f"does not prevent {count.n_colliding}"]
+        avoided = count.n_prevented - count.n_colliding_later
+        results = [f"prevents {avoided}", f"does not prevent {count.n_colliding}"]
+        if count.n_colliding_later:
+            results.append(f"collides in {count.n_colliding_later} that count as prevented")
         results += [f"says nothing of {count.n_not_applicable}"] if count.n_not_applicable else []
         scenarios = "One scenario was" if count.n_scenarios == 1 else f"{count.n_scenarios} scenarios were"
         sentences.append(
@@ -59,7 +62,7 @@ def describe_references(references: Mapping[str, ReferenceCount]) -> str:
         )
         if count.n_colliding_later:
             sentences.append(
-                f" {count.n_colliding_later} of the prevented ones collide later: the other cut in with a time to"
-                " collision above 2 s, in which the regulation sees no danger."
+                " They count so because the other cut in with a time to collision above 2 s, in which the regulation"
+                " sees no danger; do not report them as preventable."
             )
     return "".join(sentences)

@@ -87,6 +87,10 @@ def _describe_alternatives(counts: ReplyCounts, other: str) -> Iterator[str]:
             f" collision can be seen coming, avoids {avoided}."
         )
     yield (
+        "Whoever is at fault, a better driver may avoid them: search again with the same seed and another driver, such"
+        " as --driver EGO=cautious, and compare."
+    )
+    yield (
         "What would have avoided them is computed from the recordings, not simulated:"
         f" {other} goes straight on after the contact. Coming means in sight, and less than 5 s away if both go"
         " straight on at these speeds; a cut-in that has only begun does not show it."
