@@ -74,6 +74,8 @@ class Runs:
 # of the speed limit (36 km/h here), in each frame anew; 3 s to a leader; a speed of 6, 3 or 1 km/h below the limit.
 _CARLA: Final = "field_of_view=1.047,sight_range=12,reaction_time=0,memory=0,safety_time=3"
 
+_C_SPEED: Final = 'name="c_speed" parameterType="double" value="{}"'
+
 BY_HAND: Final[Mapping[str, tuple[float, int]]] = {
     "ego-trajectory": (0.3, 6),
     "ego-motion": (0.3, 9),
@@ -135,6 +137,30 @@ RUNS: Final = (
         ),
         ranges=("ego_start=20:95:0.1", "pedestrian_wait=4:15:0.01"),
     ),
+    # Found in the space of reconstructions (`open_choices.py`), with its seed.
+    Runs(
+        "far",
+        "x-intersection",
+        "the same, with the pedestrian 10.7 m from the middle of the road, who walks at 1.5 m/s after 2.5 to 11 s, and"
+        " the ego at 11.5 m/s from 34 to 95 m on",
+        {"": None},
+        ("by hand", "speed, by hand"),
+        changes=(
+            (
+                '<WorldPosition x="18.000" y="4.600" h="-1.5708"/>',
+                '<WorldPosition x="18.000" y="10.700" h="-1.5708"/>',
+            ),
+            (
+                'name="ego_speed" parameterType="double" value="10"',
+                'name="ego_speed" parameterType="double" value="11.5"',
+            ),
+            (
+                'name="pedestrian_speed" parameterType="double" value="2.2"',
+                'name="pedestrian_speed" parameterType="double" value="1.5"',
+            ),
+        ),
+        ranges=("ego_start=34:95:0.1", "pedestrian_wait=2.5:11:0.01"),
+    ),
     Runs(
         "example-t",
         "t-intersection",
@@ -152,6 +178,37 @@ RUNS: Final = (
             "aggressive": f"aggressive:target_share=0.97,{_CARLA}",
         },
         ("automatic", "by hand", "contact", "plain Python"),
+    ),
+    # As *far*: for each ego the one of the space in which 2.4 and most other statements hold.
+    Runs(
+        "near sight",
+        "t-intersection",
+        "the same, with a cautious ego that sees 115° to both sides, 12 m, reacts after 0.1 s and keeps 2.5 s to a"
+        " leader; C drives at 12.5 m/s and starts after up to 7.5 s",
+        {"cautious": "cautious:field_of_view=4,sight_range=12,reaction_time=0.1,memory=0,safety_time=2.5"},
+        ("by hand", "contact"),
+        changes=((_C_SPEED.format(10), _C_SPEED.format(12.5)),),
+        ranges=("c_start_time=0:7.5:0.01",),
+    ),
+    Runs(
+        "far sight",
+        "t-intersection",
+        "the same, with a normal ego that sees 100° to both sides, 69 m, reacts after 0.1 s and keeps 3.5 s to a"
+        " leader; C drives at 9 m/s and starts after up to 7 s",
+        {"normal": "normal:field_of_view=3.5,sight_range=69,reaction_time=0.1,memory=0,safety_time=3.5"},
+        ("by hand", "contact"),
+        changes=((_C_SPEED.format(10), _C_SPEED.format(9)),),
+        ranges=("c_start_time=0:7:0.01",),
+    ),
+    Runs(
+        "slow C",
+        "t-intersection",
+        "the same, with an aggressive ego that sees 86° to both sides, 50 m, reacts after 0.2 s and keeps 4 s to a"
+        " leader; C drives at 7 m/s and starts after up to 3.5 s",
+        {"aggressive": "aggressive:field_of_view=3,sight_range=50,reaction_time=0.2,memory=0,safety_time=4"},
+        ("by hand", "contact"),
+        changes=((_C_SPEED.format(10), _C_SPEED.format(7)),),
+        ranges=("c_start_time=0:3.5:0.01",),
     ),
 )
 DEFAULTS: Final = {"x-intersection": ("example-x", "automatic"), "t-intersection": ("example-t", "automatic")}

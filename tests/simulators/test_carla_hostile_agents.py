@@ -15,10 +15,11 @@ from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import Builtin, Carla
 from cornercase.simulators.carla import _scenario_runner
-from helpers.carla_or_stand_in import REAL, Served
+from helpers.carla_or_stand_in import AGAIN_IF_THE_CLIENT_CRASHES, REAL, Served
 from helpers.passing_cars import write_passing_cars
 
 pytestmark = [
+    AGAIN_IF_THE_CLIENT_CRASHES,
     pytest.mark.skipif(
         find_spec("carla") is None or bool(REAL), reason="it takes the client of the extra 'carla', and a stand-in"
     ),
