@@ -188,7 +188,8 @@ VIEWS.push({
       });
       legend.replaceChildren(...items);
       const picked = plot.drawn.length === MOST_COURSES ? tellPicked(MOST_COURSES, store.shownCount) : "";
-      const others = plot.bandless ? `${plot.bandless} smaller groups have no median here.` : "";
+      const others = !plot.bandless ? "" : plot.bandless === 1
+        ? "One smaller group has no median here." : `${plot.bandless} smaller groups have no median here.`;
       note.textContent = `${picked} ${others}`.trim();
     };
     return {
