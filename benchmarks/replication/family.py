@@ -191,16 +191,6 @@ RUNS: Final = (
         ranges=("c_start_time=0:7.5:0.01",),
     ),
     Runs(
-        "far sight",
-        "t-intersection",
-        "the same, with a normal ego that sees 100° to both sides, 69 m, reacts after 0.1 s and keeps 3.5 s to a"
-        " leader; C drives at 9 m/s and starts after up to 7 s",
-        {"normal": "normal:field_of_view=3.5,sight_range=69,reaction_time=0.1,memory=0,safety_time=3.5"},
-        ("by hand", "contact"),
-        changes=((_C_SPEED.format(10), _C_SPEED.format(9)),),
-        ranges=("c_start_time=0:7:0.01",),
-    ),
-    Runs(
         "slow C",
         "t-intersection",
         "the same, with an aggressive ego that sees 86° to both sides, 50 m, reacts after 0.2 s and keeps 4 s to a"
