@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cornercase._common.typing import FloatArray
 from cornercase.evidence._boundary_pairs import find_boundary_pairs
 from cornercase.report._report_data import ReportData
 
@@ -26,20 +25,9 @@ def find_collision_boundary(data: ReportData, count: int) -> list[BoundaryPair]:
     """
     if not data.summary.represents_space:
         return []
-    others = data.summary.meta.others
-    collides = [not data.entities_hit[row.id].isdisjoint(others) for row in data.rows]
+    collides = data.collides.tolist()
     points = np.array([row.point for row in data.rows])
     pairs = find_boundary_pairs(points, ["collides" if hit else "does not" for hit in collides], None, count)
     return [
         BoundaryPair(second, first) if collides[first] else BoundaryPair(first, second) for first, second, _ in pairs
     ]
-
-
-def boundary_weights(data: ReportData) -> FloatArray | None:
-    """Return the share of each parameter in the score's variance, shape (d,); None if it is unknown."""
-    sensitivity = data.summary.estimates.sensitivity
-    if sensitivity is None or not sensitivity.is_meaningful:
-        return None
-    total = dict(zip(sensitivity.names, sensitivity.total, strict=True))
-    # Parameters with a single value have no index.
-    return np.array([total.get(parameter.name, 0.0) for parameter in data.parameters])

@@ -66,9 +66,7 @@ def scenario_payload(data: ReportData) -> dict[str, Any]:
                 name: spread_over_rows([round_score(score) for score in scores]) for name, scores in data.scores.items()
             },
             "critical": spread_over_rows(data.is_critical.astype(int).tolist(), 0),
-            "collides": spread_over_rows(
-                [int(not data.entities_hit[row.id].isdisjoint(meta.others)) for row in data.rows], 0
-            ),
+            "collides": spread_over_rows(data.collides.astype(int).tolist(), 0),
             "outcome": [outcome_names.index(outcomes[row.id]) if row.id in outcomes else None for row in rows],
             "culprit": [culprit_names.index(name) if (name := culprits.get(row.id)) else None for row in rows],
             "kept": [int(row.id in selected) for row in rows],

@@ -75,6 +75,17 @@ class ReportData:
         """Parameters of the space."""
         return self.summary.meta.space.parameters
 
+    @property
+    def collides(self) -> BoolArray:
+        """Whether the ego touches one of the others, by row, shape (n,)."""
+        others = self.summary.meta.others
+        return np.array([not self.entities_hit[row.id].isdisjoint(others) for row in self.rows], dtype=np.bool_)
+
+    @property
+    def hardest_first(self) -> list[tuple[int, Impact]]:
+        """`hardest_impacts` as pairs of id and collision, the fastest first."""
+        return sorted(self.hardest_impacts.items(), key=lambda item: (-np.nan_to_num(item[1].speed), item[0]))
+
     def metric_for_aspect(self, aspect: str) -> Metric:
         """Return the metric with the name of the aspect, or the first metric if there is none."""
         names = [metric.name for metric in self.metrics]

@@ -48,6 +48,12 @@ class ConflictApproach:
     shifts: tuple[float, float]
     along_road: bool
 
+    @property
+    def turns_hide_lanes(self) -> bool:
+        """Whether both turn the same way, and no road says which of them left its lane."""
+        both_turn = min(map(abs, self.turns)) >= STRAIGHT and self.turns[0] * self.turns[1] > 0.0
+        return both_turn and not self.along_road
+
 
 def describe_approach(
     first: Party, second: Party, contact: float, network: RoadNetwork | None = None

@@ -216,10 +216,9 @@ class _Case:
         return max(gap, 0.0) / closing, min_cut_in_time(closing)
 
     def _rule_lane_change(self) -> _Ruling:
-        shifts, turns = self.approach.shifts, self.approach.turns
+        shifts = self.approach.shifts
         drifting = [k for k in (0, 1) if shifts[k] >= _LEFT_LINE]
-        bends = min(map(abs, turns)) >= STRAIGHT and turns[0] * turns[1] > 0.0
-        if bends and not self.approach.along_road:
+        if self.approach.turns_hide_lanes:
             return _Ruling((), "lane change", "both turn, and the motion does not show who left its lane")
         if len(drifting) == 1:
             (k,) = drifting
@@ -260,9 +259,7 @@ class _Case:
         if len(left) == 1:
             (k,) = left
             return _Ruling((k,), "oncoming", f"{{{k}}} leaves its line by {abs(shifts[k]):.1f} m, towards {{{1 - k}}}")
-        turns = self.approach.turns
-        bends = turns[0] * turns[1] > 0.0 and min(map(abs, turns)) >= STRAIGHT
-        if bends and not self.approach.along_road:
+        if self.approach.turns_hide_lanes:
             return _Ruling((), "oncoming", "both turn, and the motion does not show who left its lane")
         return _Ruling((0, 1), "oncoming", "{0} and {1} leave their lines, towards each other")
 

@@ -165,9 +165,8 @@ def _find_parting(old: Recording, new: Recording) -> float | None:
     for name in names:
         i, j = old.entity_index(name), new.entity_index(name)
         steps = [
-            np.interp(times, recording.time, values[k]) - getattr(old, axis)[i, : len(times)]
+            np.interp(times, new.time, getattr(new, axis)[j]) - getattr(old, axis)[i, : len(times)]
             for axis in ("x", "y")
-            for recording, values, k in ((new, getattr(new, axis), j),)
         ]
         distances = np.fmax(distances, np.hypot(*steps))
     indices = np.flatnonzero(distances > _MIN_DISTANCE)

@@ -8,8 +8,8 @@ from html import escape
 import numpy as np
 
 from cornercase._common.text.sanitize import escape_control_characters
+from cornercase._common.typing import FloatArray
 from cornercase.evidence._boundary_pairs import find_boundary_pairs
-from cornercase.report._boundary import boundary_weights
 from cornercase.report._report_data import ReportData
 from cornercase.report.html._tables import Section, make_section, render_table
 from cornercase.report.text._phrases import append_unit, format_value
@@ -23,7 +23,7 @@ def render_boundary_pairs(data: ReportData) -> Iterator[Section]:
         data.outcomes.get(row.id, "critical" if is_critical else "not critical")
         for row, is_critical in zip(data.rows, data.is_critical, strict=True)
     ]
-    points, weights = np.array([row.point for row in data.rows]), boundary_weights(data)
+    points, weights = np.array([row.point for row in data.rows]), _parameter_weights(data)
     pairs = find_boundary_pairs(points, outcomes, weights)
     if not pairs:
         return
@@ -52,3 +52,13 @@ def _describe_step(data: ReportData, first: int, second: int) -> str:
             unit = parameter.unit or ""
             steps.append(f"{parameter.name} {format_value(old, 4)} → {append_unit(format_value(new, 4), unit)}")
     return escape_control_characters(", ".join(steps))
+
+
+def _parameter_weights(data: ReportData) -> FloatArray | None:
+    """Return the share of each parameter in the score's variance, shape (d,); None if it is unknown."""
+    sensitivity = data.summary.estimates.sensitivity
+    if sensitivity is None or not sensitivity.is_meaningful:
+        return None
+    total = dict(zip(sensitivity.names, sensitivity.total, strict=True))
+    # Parameters with a single value have no index.
+    return np.array([total.get(parameter.name, 0.0) for parameter in data.parameters])

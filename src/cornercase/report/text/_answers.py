@@ -175,7 +175,7 @@ def _format_interval(estimate: Estimate) -> str:
 
 def _answer_collisions(data: ReportData) -> Answer:
     name, question, ego = "collisions", "Does it collide?", data.summary.meta.ego
-    hardest = sorted(data.hardest_impacts.items(), key=lambda item: (-np.nan_to_num(item[1].speed), item[0]))
+    hardest = data.hardest_first
     scenarios = "the one scenario" if data.summary.n_run == 1 else f"the {data.summary.n_run} scenarios"
     misses = sort_near_misses(data.approaches, data.hardest_impacts)
     if not hardest:

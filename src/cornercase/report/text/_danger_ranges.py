@@ -6,8 +6,6 @@ import math
 from collections.abc import Iterator
 from typing import Final
 
-import numpy as np
-
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.report._report_data import ReportData
 from cornercase.report.text._phrases import append_unit, format_range
@@ -23,8 +21,7 @@ _CHANCE: Final = 0.01
 
 def describe_danger_ranges(data: ReportData) -> Iterator[str]:
     """Yield for each parameter in which narrower range all collisions lie; the critical scenarios if none collides."""
-    others = data.summary.meta.others
-    dangerous = np.array([not data.entities_hit[row.id].isdisjoint(others) for row in data.rows])
+    dangerous = data.collides
     what = "collisions"
     if not dangerous.any():
         dangerous, what = data.is_critical, "critical scenarios"

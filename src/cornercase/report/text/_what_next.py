@@ -6,14 +6,13 @@ import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
-import numpy as np
-
 from cornercase.report._boundary import BoundaryPair, find_collision_boundary
 from cornercase.report._near_misses import sort_near_misses
 from cornercase.report._report_data import ReportData
 from cornercase.report.text._phrases import append_unit, format_value, join_with_and
 from cornercase.scenario import Parameter, Value
 from cornercase.study._import_recordings import IMPORTED_SIMULATOR
+from cornercase.suite._verdict import worst_state
 
 # Scenarios to be driven on a proving ground, which costs a day.
 _MAX_ON_TRACK: Final = 5
@@ -41,11 +40,7 @@ def describe_next_steps(data: ReportData) -> tuple[str, tuple[str, ...]]:
 
 def describe_next_steps_after_suite(data: ReportData) -> tuple[str, tuple[str, ...]]:
     """Say what to do after a run of a suite: what failed goes to the developer, and may be driven on the track."""
-    failed = [
-        scenario
-        for scenario, verdicts in data.verdicts.items()
-        if any(verdict.state == "failed" for verdict in verdicts)
-    ]
+    failed = [scenario for scenario, verdicts in data.verdicts.items() if worst_state(verdicts) == "failed"]
     narrow = [
         row.id
         for row, is_critical in zip(data.rows, data.is_critical.tolist(), strict=True)
@@ -87,7 +82,7 @@ def describe_repeatability(data: ReportData) -> str:
 
 def _worst_scenario(data: ReportData) -> tuple[int, str]:
     """Return the id of the scenario to look at first, and what it is."""
-    hardest = sorted(data.hardest_impacts.items(), key=lambda item: (-np.nan_to_num(item[1].speed), item[0]))
+    hardest = data.hardest_first
     if hardest:
         # What the ego is not at fault for, its developer may not have to mend.
         own = [(scenario, impact) for scenario, impact in hardest if impact.fault and impact.fault.who in _OWN_FAULT]
