@@ -92,7 +92,8 @@ rule="greaterThan"/></ByValueCondition></Condition></ConditionGroup></StopTrigge
 
 
 def run(server, scenario, values=None, **more):
-    (found,) = Carla(**options(server, **more)).run([ConcreteScenario(scenario, values or {})])
+    with Carla(**options(server, **more)) as simulator:
+        (found,) = ran(simulator, [ConcreteScenario(scenario, values or {})])
     return found
 
 
