@@ -9,12 +9,12 @@ from cornercase.metrics._outcome import Impact
 from cornercase.recordings import Recording
 from cornercase.study import StudyFile
 
-MAX_WITH_EVENTS: Final = 2000
+MAX_WITH_EVENTS: Final = 1000
 """Largest number of recordings of a page with events: finding them takes some ms each."""
 
 
 def find_events_of_scenarios(study: StudyFile, ids: Iterable[int]) -> dict[str, dict[str, Any]]:
-    """Find the events of scenarios that ran, by id; of the first 2000 if there are more."""
+    """Find the events of scenarios that ran, by id; of the first 1000 if there are more."""
     return {str(scenario): find_events_of_scenario(study, scenario) for scenario in list(ids)[:MAX_WITH_EVENTS]}
 
 

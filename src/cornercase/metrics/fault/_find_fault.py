@@ -14,7 +14,7 @@ from cornercase.drivers._competent_driver import min_cut_in_time
 from cornercase.metrics._outcome import Conflict, Culprit, Fault
 from cornercase.metrics.fault._approach import STRAIGHT, TURN, ConflictApproach, describe_approach
 from cornercase.metrics.fault._contact import Contact, find_contact
-from cornercase.metrics.fault._party import STANDING_SPEED, Party, find_obstacles
+from cornercase.metrics.fault._party import STANDING_SPEED, Party, iter_obstacles
 from cornercase.metrics.fault._reaction import REACTION_TIME, Chance, can_brake, find_chance, find_latest_braking
 from cornercase.metrics.fault._right_of_way import find_who_yields, is_on_wrong_side, roads_of
 from cornercase.recordings import Collision, Recording
@@ -80,7 +80,7 @@ def find_fault(recording: Recording, ego: str, collision: Collision) -> Fault:
     parties = tuple(Party.from_recording(recording, name, contact.time) for name in (ego, other))
     if any(len(party.time) < 2 for party in parties):
         return Fault("undecided", "unknown", contact.sides, contact.point, ("their motion before is unknown",))
-    obstacles = find_obstacles(recording, (ego, other), contact.time)
+    obstacles = list(iter_obstacles(recording, (ego, other), contact.time))
     case = _Case(parties[0], parties[1], contact, obstacles, roads_of(recording))
     ruling = case.rule()
     who: Culprit = (

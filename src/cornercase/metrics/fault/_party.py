@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
@@ -111,23 +112,27 @@ class Party:
         return box_corners(*poses, *self.size)
 
 
-def find_obstacles(
+def iter_obstacles(
     recording: Recording, names: tuple[str, str], end: float, look_back: float = _LOOK_BACK
-) -> list[Party]:
+) -> Iterator[Party]:
     """Take the motion of all but two entities, as `Party.from_recording`; without those whose motion is unknown."""
-    others = (name for name in recording.names if name not in names)
-    parties = [Party.from_recording(recording, name, end, look_back) for name in others]
-    return [party for party in parties if len(party.time)]
+    for name in recording.names:
+        if name not in names and len((party := Party.from_recording(recording, name, end, look_back)).time):
+            yield party
 
 
 def boxes_touch(first: Party, poses: Poses, second: Party, other_poses: Poses) -> BoolArray:
     """Whether the boxes of two entities touch at poses, which are broadcast; only boxes that are near are compared."""
-    x, y, heading, other_x, other_y, other_heading = np.broadcast_arrays(*poses, *other_poses)
     reach = 0.5 * (math.hypot(*first.size) + math.hypot(*second.size))
-    is_near = (other_x - x) ** 2 + (other_y - y) ** 2 <= reach**2 * (1.0 + 1e-9)
-    touches = np.zeros(x.shape, dtype=np.bool_)
-    touches[is_near] = boxes_overlap(
-        first.corners((x[is_near], y[is_near], heading[is_near])),
-        second.corners((other_x[is_near], other_y[is_near], other_heading[is_near])),
-    )
+    is_near = (other_poses[0] - poses[0]) ** 2 + (other_poses[1] - poses[1]) ** 2 <= reach**2 * (1.0 + 1e-9)
+    touches: BoolArray = np.zeros(is_near.shape, dtype=np.bool_)
+    if is_near.any():
+        touches[is_near] = boxes_overlap(
+            first.corners(_select_poses(poses, is_near)), second.corners(_select_poses(other_poses, is_near))
+        )
     return touches
+
+
+def _select_poses(poses: Poses, mask: BoolArray) -> Poses:
+    x, y, heading = (np.broadcast_to(values, mask.shape)[mask] for values in poses)
+    return x, y, heading

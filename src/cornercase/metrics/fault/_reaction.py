@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final
 
@@ -44,7 +44,7 @@ class Chance:
     is_whole: bool
 
 
-def find_chance(party: Party, partner: Party, contact: float, obstacles: Sequence[Party]) -> Chance:
+def find_chance(party: Party, partner: Party, contact: float, obstacles: Iterable[Party]) -> Chance:
     """Find the chance of a party to avoid the collision with its partner by braking on its path.
 
     The collision is foreseeable from the first instant from which on, without interruption, the partner can be seen and
@@ -58,7 +58,7 @@ def find_chance(party: Party, partner: Party, contact: float, obstacles: Sequenc
     return Chance(foreseeable, could_avoid, is_whole)
 
 
-def find_foreseeable(party: Party, partner: Party, contact: float, obstacles: Sequence[Party]) -> tuple[float, bool]:
+def find_foreseeable(party: Party, partner: Party, contact: float, obstacles: Iterable[Party]) -> tuple[float, bool]:
     """Find the time in s before a contact since when it was foreseeable, 0 if never, and whether it begins then.
 
     See `find_chance`.
@@ -77,7 +77,7 @@ def find_foreseeable(party: Party, partner: Party, contact: float, obstacles: Se
 
 
 def is_danger_foreseeable(
-    party: Party, partner: Party, end: float, obstacles: Sequence[Party]
+    party: Party, partner: Party, end: float, obstacles: Iterable[Party]
 ) -> tuple[FloatArray, BoolArray]:
     """Find whether a party sees a collision with its partner come, in the last 8 s before a time in s.
 
@@ -86,7 +86,11 @@ def is_danger_foreseeable(
     instants = _instants_before(party, partner, end)
     if not len(instants):
         return instants, np.zeros(0, dtype=np.bool_)
-    return instants, _predicts_collision(party, partner, instants) & _can_see(party, partner, instants, obstacles)
+    is_danger = _predicts_collision(party, partner, instants)
+    # Obstacles matter only then.
+    if is_danger.any():
+        is_danger[is_danger] = _can_see(party, partner, instants[is_danger], obstacles)
+    return instants, is_danger
 
 
 def can_brake(party: Party, partner: Party, noticed: float) -> bool:
@@ -139,7 +143,7 @@ def _predicts_collision(party: Party, partner: Party, instants: FloatArray) -> B
     return np.asarray(boxes_touch(party, poses, partner, other_poses).any(axis=1))
 
 
-def _can_see(party: Party, partner: Party, instants: FloatArray, obstacles: Sequence[Party]) -> BoolArray:
+def _can_see(party: Party, partner: Party, instants: FloatArray, obstacles: Iterable[Party]) -> BoolArray:
     """Whether any corner of the partner's box is in sight of the party's centre, shape (n,)."""
     sees = np.ones((len(instants), 4), dtype=np.bool_)
     eye = np.stack([np.interp(instants, party.time, values) for values in (party.x, party.y)], -1)[:, None]

@@ -12,7 +12,7 @@ from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.drivers._sight import find_visible_others
 from cornercase.metrics.ending._box_gap import smallest_box_gap
 from cornercase.metrics.ending._poses import Poses
-from cornercase.metrics.fault._party import Party, find_obstacles
+from cornercase.metrics.fault._party import Party, iter_obstacles
 from cornercase.metrics.fault._reaction import find_foreseeable, is_danger_foreseeable
 from cornercase.recordings import Recording
 
@@ -118,7 +118,11 @@ def _find_runs(mask: BoolArray, time: FloatArray) -> list[tuple[int, int]]:
     instants = np.flatnonzero(mask)
     if not len(instants):
         return []
-    ends = np.flatnonzero(time[instants[1:]] - time[instants[:-1]] > _MAX_GAP + _usual_step(time))
+    gaps = np.diff(time[instants])
+    # The step is costly to find, and seldom matters.
+    ends = np.flatnonzero(gaps > _MAX_GAP)
+    if len(ends):
+        ends = ends[gaps[ends] > _MAX_GAP + _usual_step(time)]
     starts = [0, *(ends + 1).tolist()]
     return [(int(instants[a]), int(instants[b])) for a, b in zip(starts, [*ends.tolist(), -1], strict=True)]
 
@@ -133,7 +137,7 @@ def _find_danger(recording: Recording, ego: str, other: str, anchor: float, touc
     party, partner = (Party.from_recording(recording, name, end, back) for name in (ego, other))
     if min(len(party.time), len(partner.time)) < 2:
         return None
-    obstacles = find_obstacles(recording, (ego, other), end, back)
+    obstacles = iter_obstacles(recording, (ego, other), end, back)
     if touches:
         foreseeable, _ = find_foreseeable(party, partner, anchor, obstacles)
         return anchor - foreseeable if foreseeable > 0.0 else None
