@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import cached_property
 from typing import Any, Final
 
@@ -98,6 +99,20 @@ class EmbeddedDistances:
         points = self._rows[members]
         return int(members[((points - points.mean(axis=0)) ** 2).sum(axis=1).argmin()])
 
+    def rows_within(self, row: int, distance: float) -> IntArray:
+        """Return the indices of rows up to a distance from a row, and of some that are a little farther."""
+        radius = math.sqrt(max(distance, 0.0)) * (1.0 + 1e-9)
+        return np.array(self._tree.query_ball_point(self._rows[row], radius), dtype=np.int64)
+
+    def distances_to_neighbour(self, rows: IntArray, number: int) -> FloatArray:
+        """Return the distance of some rows to their neighbour of this number; each is its own neighbour number 0."""
+        roots, _ = self._tree.query(self._rows[rows], k=[number + 1])
+        return np.asarray(roots, dtype=np.float64)[:, 0] ** 2
+
+    @cached_property
+    def _tree(self) -> cKDTree:
+        return cKDTree(self._rows)
+
     def distances_to_nearest(self, rows: IntArray) -> FloatArray:
         """Return the distance of each column to the nearest of some rows, shape (m,)."""
         return self._squares_to_nearest(rows, np.arange(len(self._columns)))
@@ -107,25 +122,29 @@ class EmbeddedDistances:
         squares: FloatArray = ((self._rows[nearest] - self._columns[columns]) ** 2).sum(axis=1)
         return squares
 
-    def distances_to_nearest_per_choice(self, row_choices: IntArray) -> FloatArray:
-        """Return the distance of each column to the nearest row in each choice of rows, shape (draws, m)."""
+    def distances_to_nearest_per_choice(self, row_choices: IntArray, columns: IntArray | None = None) -> FloatArray:
+        """Return the distance of columns, by default all, to the nearest row in each choice of rows.
+
+        The result has the shape (draws, columns).
+        """
         n = len(self)
+        columns = np.arange(len(self._columns)) if columns is None else columns
         if row_choices.shape[1] < _SPARSE_SHARE * n or n <= 2 * _N_NEAREST:
-            return np.array([self.distances_to_nearest(choice) for choice in row_choices])
+            return np.array([self._squares_to_nearest(choice, columns) for choice in row_choices])
         is_chosen = np.zeros((len(row_choices), n), dtype=np.bool_)
         np.put_along_axis(is_chosen, row_choices, True, axis=1)
-        distances = np.empty((len(row_choices), len(self._columns)))
-        fill_nearest_distances(self._rows, self._columns, self._nearest_rows, is_chosen, distances)
+        distances = np.empty((len(row_choices), len(columns)))
+        fill_nearest_distances(self._rows, self._columns[columns], self._nearest_rows[columns], is_chosen, distances)
         for draw in np.flatnonzero(np.isinf(distances).any(axis=1)).tolist():
             # None of the nearest rows of these columns is in the choice.
-            columns = np.flatnonzero(np.isinf(distances[draw]))
-            distances[draw, columns] = self._squares_to_nearest(row_choices[draw], columns)
+            left = np.flatnonzero(np.isinf(distances[draw]))
+            distances[draw, left] = self._squares_to_nearest(row_choices[draw], columns[left])
         return distances
 
     @cached_property
     def _nearest_rows(self) -> IntArray:
         """Indices of the 32 rows nearest to each column, the nearest first, shape (m, 32)."""
-        return np.asarray(cKDTree(self._rows).query(self._columns, k=_N_NEAREST)[1], dtype=np.int64)
+        return np.asarray(self._tree.query(self._columns, k=_N_NEAREST)[1], dtype=np.int64)
 
     def medoids(self, count: int) -> IntArray:
         """Choose `count` scenarios such that all scenarios are near to one of them; return rising indices.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -116,26 +116,31 @@ def measure_nearest_distances(
 ) -> NearestDistances:
     """Measure the distances from every scenario to the reduced set, to k-medoids and to random selections.
 
-    The random selections differ from those with which the reduced set was compared during selection. Repeated indices
-    count once.
+    Repeated indices count once.
     """
     indices = np.unique(np.asarray(selected, dtype=np.int64))
-    random = draw_random_selections(len(distances), len(indices), stream="grading", draws=draws, seed=seed)
     return NearestDistances(
         distances_to_nearest(distances, indices),
         distances_to_nearest(distances, find_k_medoids(distances, len(indices))),
-        distances_to_nearest_per_selection(distances, random),
+        measure_distances_to_random(distances, indices, draws=draws, seed=seed),
     )
 
 
-def redraw_random_selections(
-    nearest_distances: NearestDistances, distances: Distances, selected: IntArray, seed: int
-) -> NearestDistances:
-    """Replace the random selections by those of another seed; with seed 0 nothing changes."""
-    if not seed:
-        return nearest_distances
-    random = draw_random_selections(len(distances), len(np.unique(selected)), stream="grading", seed=seed)
-    return replace(nearest_distances, to_random=distances_to_nearest_per_selection(distances, random))
+def measure_distances_to_random(
+    distances: Distances,
+    selected: npt.ArrayLike,
+    scenarios: IntArray | None = None,
+    *,
+    draws: int = DEFAULT_DRAWS,
+    seed: int = 0,
+) -> FloatArray:
+    """Measure the distances of scenarios, by default all, to random selections as large as a set; shape (draws, m).
+
+    The random selections differ from those with which the reduced set was compared during selection.
+    """
+    size = len(np.unique(np.asarray(selected, dtype=np.int64)))
+    random = draw_random_selections(len(distances), size, stream="grading", draws=draws, seed=seed)
+    return distances_to_nearest_per_selection(distances, random, scenarios)
 
 
 def measure_coverage(

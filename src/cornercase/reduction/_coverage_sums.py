@@ -21,6 +21,8 @@ EXCHANGE_ROUNDS: Final = 3
 BLOCK_SIZE: Final = 256
 # Largest number of scenarios at which the usual distance of neighbours is sampled, for embedded distances.
 _NEIGHBOUR_SAMPLE: Final = 2000
+# Largest number of a neighbour that is searched for in a tree; with more, comparing all is faster.
+_MAX_SEARCHED: Final = 30
 
 
 class SetComposition(NamedTuple):
@@ -162,6 +164,8 @@ def _usual_neighbour_distance(distances: Distances, n_neighbours: int) -> float:
     blocks: list[slice | IntArray] = [slice(first, first + BLOCK_SIZE) for first in range(0, n, BLOCK_SIZE)]
     if isinstance(distances, EmbeddedDistances) and n > _NEIGHBOUR_SAMPLE:
         sample = np.linspace(0, n - 1, _NEIGHBOUR_SAMPLE).astype(np.int64)
+        if n_neighbours <= _MAX_SEARCHED:
+            return float(distances.distances_to_neighbour(sample, n_neighbours).mean()) or 1.0
         blocks = [sample[first : first + BLOCK_SIZE] for first in range(0, _NEIGHBOUR_SAMPLE, BLOCK_SIZE)]
     neighbour_distances = [np.partition(distances[block], n_neighbours, axis=1)[:, n_neighbours] for block in blocks]
     return float(np.concatenate(neighbour_distances).mean()) or 1.0

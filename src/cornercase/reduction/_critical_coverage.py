@@ -77,17 +77,21 @@ def measure_critical_coverage(
     seed: int = 0,
     critical_set: CriticalSet | None = None,
     held_out: HeldOutDistances | None = None,
+    random_distances: FloatArray | None = None,
 ) -> CriticalCoverage:
     """Summarize how well selected scenarios represent the critical ones, from the distances to the selected ones.
 
     `points`, shape (n, d), are in the unit cube. `scores` are lower where more critical. A critical scenario is on the
     boundary if any of the 2 d scenarios nearest to it is not critical. Scenarios that were not run are predicted by two
     Gaussian processes over the parameter space. The first predicts the scores, the second the distance of critical
-    scenarios to the nearest selected one. Both are calibrated by leave-one-out as in `CriticalSet`.
+    scenarios to the nearest selected one. Both are calibrated by leave-one-out as in `CriticalSet`. `random_distances`
+    are those of the critical scenarios to random selections, by default those in `nearest_distances`.
     """
     critical = criterion.is_critical(scores)
     distance, medoid_distance = nearest_distances.to_selected, nearest_distances.to_medoids
-    random = nearest_distances.to_random[:, critical] <= similar_distance
+    if random_distances is None:
+        random_distances = nearest_distances.to_random[:, critical]
+    random = random_distances <= similar_distance
     any_critical = bool(critical.any())
     is_boundary = critical & _has_neighbour_among(encode_points(space, points), ~critical)
     unlike = None

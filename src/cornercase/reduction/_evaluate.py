@@ -16,8 +16,8 @@ from cornercase.reduction._coverage import (
     Coverage,
     NearestDistances,
     measure_coverage,
+    measure_distances_to_random,
     measure_nearest_distances,
-    redraw_random_selections,
 )
 from cornercase.reduction._critical_coverage import (
     DEFAULT_SIMILARITY,
@@ -149,11 +149,17 @@ def evaluate_critical_coverage(
             points,
             scores,
             criterion,
-            redraw_random_selections(gaps_of_aspect, distances, index, meta.seed),
+            gaps_of_aspect,
             similar_distance,
             seed=meta.seed,
             critical_set=critical_sets.get(ids),
             held_out=held_out.get(name),
+            # With seed 0 these are the random selections of the coverage.
+            random_distances=measure_distances_to_random(
+                distances, index, np.flatnonzero(criterion.is_critical(scores)), seed=meta.seed
+            )
+            if meta.seed
+            else None,
         )
     return coverage
 

@@ -37,12 +37,15 @@ def draw_fold_order(n_scenarios: int) -> IntArray:
     return rng.permutation(n_scenarios)
 
 
-def distances_to_nearest_per_selection(distances: Distances, selections: IntArray) -> FloatArray:
-    """Return the distance of every scenario to the nearest one in each selection, shape (draws, m)."""
+def distances_to_nearest_per_selection(
+    distances: Distances, selections: IntArray, scenarios: IntArray | None = None
+) -> FloatArray:
+    """Return the distance of scenarios, by default all, to the nearest one in each selection, shape (draws, m)."""
     if isinstance(distances, EmbeddedDistances):
-        return distances.distances_to_nearest_per_choice(selections)
+        return distances.distances_to_nearest_per_choice(selections, scenarios)
+    columns = slice(None) if scenarios is None else scenarios
     # The matrix is symmetric, and rows are contiguous in memory.
-    return np.array([distances[choice].min(axis=0) for choice in selections])
+    return np.array([distances[choice].min(axis=0)[columns] for choice in selections])
 
 
 def distances_to_nearest(distances: Distances, selection: IntArray) -> FloatArray:
