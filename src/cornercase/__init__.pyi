@@ -12,12 +12,10 @@ from .api import Comparison as Comparison
 from .api import Study as Study
 from .api import Suite as Suite
 from .api import compare as compare
-from .clustering import Analysis as Analysis
 from .clustering import analyze as analyze
 from .drivers import Control as Control
 from .drivers import Driver as Driver
 from .drivers import SystemUnderTest as SystemUnderTest
-from .exploration import Estimation as Estimation
 from .exploration import Problem as Problem
 from .exploration import Runs as Runs
 from .exploration import estimate as estimate
