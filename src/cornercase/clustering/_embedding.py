@@ -13,7 +13,9 @@ from scipy.spatial import cKDTree
 
 from cornercase._common.numba.blas import single_threaded_blas
 from cornercase._common.typing import FloatArray, IntArray
+from cornercase.clustering._cells import AXES_PER_STAGE, make_cells, pad_axes
 from cornercase.clustering._k_means import find_k_means
+from cornercase.clustering._kernels.nearest_rows import fill_nearest_rows
 from cornercase.clustering._kernels.nearest_selected import fill_nearest_distances
 
 MAX_DIMENSIONS: Final = 48
@@ -144,7 +146,9 @@ class EmbeddedDistances:
     @cached_property
     def _nearest_rows(self) -> IntArray:
         """Indices of the 32 rows nearest to each column, the nearest first, shape (m, 32)."""
-        return np.asarray(self._tree.query(self._columns, k=_N_NEAREST)[1], dtype=np.int64)
+        columns, nearest = pad_axes(self._columns), np.empty((len(self._columns), _N_NEAREST), dtype=np.int64)
+        fill_nearest_rows(columns.reshape(len(columns), -1, AXES_PER_STAGE), make_cells(pad_axes(self._rows)), nearest)
+        return nearest
 
     def medoids(self, count: int) -> IntArray:
         """Choose `count` scenarios such that all scenarios are near to one of them; return rising indices.

@@ -14,7 +14,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from cornercase._common.typing import FloatArray, IntArray
-from cornercase.clustering._kernels.k_means_start import CELL_SIZE, N_CELL_AXES, choose_centers
+from cornercase.clustering._cells import AXES_PER_STAGE, make_cells, pad_axes
+from cornercase.clustering._kernels.k_means_start import choose_centers
 
 _MAX_ITERATIONS: Final = 30
 # Squared shift of all centres, relative to the mean variance of an axis, from which the centres count as fixed.
@@ -24,7 +25,7 @@ _TOLERANCE: Final = 1e-4
 def find_k_means(points: FloatArray, k: int) -> tuple[IntArray, FloatArray]:
     """Return the cluster of each point, shape (n,), and the centres, shape (k, p). Clusters may be empty."""
     mean = points.mean(axis=0)
-    points = np.pad(points - mean, ((0, 0), (0, max(0, N_CELL_AXES - points.shape[1]))))
+    points = pad_axes(points - mean)
     centers = points[_choose_starts(points, k)]
     tolerance = _TOLERANCE * float(points[:, : len(mean)].var(axis=0).mean())
     labels = np.full(len(points), -1, dtype=np.int64)
@@ -46,10 +47,8 @@ def _choose_starts(points: FloatArray, k: int) -> IntArray:
     rng = np.random.RandomState(0)
     first = int(rng.choice(len(points), p=np.full(len(points), 1.0 / len(points))))
     random_numbers = rng.uniform(size=(k - 1, 2 + int(math.log(k))))
-    order = cKDTree(points[:, :N_CELL_AXES], leafsize=CELL_SIZE).indices
-    n_cells = -(-len(order) // CELL_SIZE)
-    cells = np.append(order, np.full(n_cells * CELL_SIZE - len(order), -1)).reshape(n_cells, CELL_SIZE)
-    chosen: IntArray = choose_centers(points, cells, first, random_numbers)
+    stages = points.reshape(len(points), -1, AXES_PER_STAGE)
+    chosen: IntArray = choose_centers(stages, make_cells(points), first, random_numbers)
     return chosen
 
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.spatial import cKDTree
 
-from cornercase._common.typing import FloatArray, IntArray
+from cornercase._common.typing import FloatArray
+from cornercase.clustering._cells import AXES_PER_STAGE, CELL_SIZE, make_cells, pad_axes
 from cornercase.reduction import _coverage_kernels as coverage_kernels
-from cornercase.reduction._coverage_kernels import AXES_PER_STAGE, CELL_SIZE, MAX_KNOWN_TERMS, CoverageCells
+from cornercase.reduction._coverage_kernels import MAX_KNOWN_TERMS, CoverageCells
 
 
 class CellCoverageSums:
@@ -28,24 +28,22 @@ class CellCoverageSums:
         power: int,
         selected: Sequence[int],
     ) -> None:
-        dimensions = -(-max(values.shape[1] for values in embeddings) // AXES_PER_STAGE) * AXES_PER_STAGE
-        coordinates = np.stack([np.pad(values, ((0, 0), (0, dimensions - values.shape[1]))) for values in embeddings])
-        orders = [_group_into_cells(values) for values in coordinates]
-        cells = np.stack([values[order] for values, order in zip(coordinates, orders, strict=True)])
-        first = cells[..., :AXES_PER_STAGE]
-        centres = first.mean(axis=2)
-        radii = np.sqrt(((first - centres[:, :, None]) ** 2).sum(axis=3).max(axis=2))
-        nearest_squares = np.full(cells.shape[:3], np.inf)
+        n_axes = max(values.shape[1] for values in embeddings)
+        coordinates = np.stack(
+            [pad_axes(np.pad(values, ((0, 0), (0, n_axes - values.shape[1])))) for values in embeddings]
+        )
+        cells = [make_cells(values) for values in coordinates]
+        radii = np.stack([made.radii for made in cells])
+        nearest_squares = np.full((*radii.shape, CELL_SIZE), np.inf)
         # Padding of the last cell has distance 0, so that it never counts.
         nearest_squares.reshape(len(embeddings), -1)[:, len(embeddings[0]) :] = 0.0
         self._cells = CoverageCells(
-            coordinates.reshape(len(embeddings), -1, dimensions // AXES_PER_STAGE, AXES_PER_STAGE),
-            np.ascontiguousarray(cells.transpose(0, 1, 3, 2)).reshape(
-                *cells.shape[:2], dimensions // AXES_PER_STAGE, AXES_PER_STAGE, CELL_SIZE
-            ),
-            np.ascontiguousarray(centres.transpose(0, 2, 1)),
-            radii * (1.0 + 1e-9),
-            np.stack([values[order] for values, order in zip(weights, orders, strict=True)]),
+            coordinates.reshape(*coordinates.shape[:2], -1, AXES_PER_STAGE),
+            np.stack([made.members for made in cells]),
+            np.stack([made.centers for made in cells]),
+            radii,
+            # Padding counts nothing, whatever its weight.
+            np.stack([values[made.indices] for values, made in zip(weights, cells, strict=True)]),
             np.array(usual_distances),
             power,
             nearest_squares,
@@ -74,10 +72,3 @@ class CellCoverageSums:
     def add(self, index: int) -> None:
         """Add a scenario to the selection."""
         coverage_kernels.add_to_selection(index, self._cells)
-
-
-def _group_into_cells(coordinates: FloatArray) -> IntArray:
-    """Group scenarios into cells; return indices, shape (cells, CELL). The last scenario pads the last cell."""
-    order = cKDTree(coordinates[:, :AXES_PER_STAGE], leafsize=CELL_SIZE).indices
-    count = -(-len(order) // CELL_SIZE)
-    return np.append(order, np.full(count * CELL_SIZE - len(order), order[-1])).reshape(count, CELL_SIZE)

@@ -17,25 +17,17 @@ import numpy.typing as npt
 
 from cornercase._common.numba.kernel import kernel
 from cornercase._common.typing import FloatArray, IntArray
-
-CELL_SIZE = 16
-"""Number of scenarios in a cell."""
-
-AXES_PER_STAGE = 8
-"""Number of axes by which cells are formed, and after which the distance computation may stop early."""
+from cornercase.clustering._cells import CELL_SIZE, MARGIN, fill_squares_if_nearer, fill_squares_to_centers
 
 MAX_KNOWN_TERMS = 192
 """Largest number of terms of a scenario's gain that are kept, instead of searching the cells again."""
-
-_MARGIN = 1.0 + 1e-9
-"""Factor by which bounds are wider, far more than rounding."""
 
 
 class CoverageCells(NamedTuple):
     """Cells of scenarios in all clusterings, with the costs that the selection leaves uncovered.
 
     `coordinates`, (clusterings, n, stages, AXES), are in the order of the scenarios, the axis of largest variance
-    first; `members`, (clusterings, c, stages, AXES, CELL), are the same by cell. `centres`, (clusterings, AXES, c), and
+    first; `members`, (clusterings, c, stages, AXES, CELL), are the same by cell. `centers`, (clusterings, AXES, c), and
     `radii` are bounding balls of the cells in the first axes. `nearest_squares` are squared distances to the nearest
     selected scenario, and `costs` follow from them. A scenario is nearest to none of a cell if its squared distance to
     the centre is above `reach`.
@@ -48,7 +40,7 @@ class CoverageCells(NamedTuple):
 
     coordinates: FloatArray
     members: FloatArray
-    centres: FloatArray
+    centers: FloatArray
     radii: FloatArray
     weights: FloatArray
     usual_distances: FloatArray
@@ -64,9 +56,9 @@ class CoverageCells(NamedTuple):
 @kernel(error_model="numpy")
 def fill_gains(gains, cells):
     """Write the amount by which each scenario would lower the coverage sum to `gains`."""
-    to_centres, to_members = np.empty(cells.members.shape[1]), np.empty(CELL_SIZE)
+    to_centers, to_members = np.empty(cells.members.shape[1]), np.empty(CELL_SIZE)
     for index in range(len(gains)):
-        gains[index] = _gain_of(index, cells, to_centres, to_members)
+        gains[index] = _gain_of(index, cells, to_centers, to_members)
 
 
 @kernel(error_model="numpy")
@@ -75,7 +67,7 @@ def find_best_candidate(gains, cells):
 
     `gains` come from earlier steps, so they are upper bounds; they are updated as needed.
     """
-    to_centres, to_members = np.empty(cells.members.shape[1]), np.empty(CELL_SIZE)
+    to_centers, to_members = np.empty(cells.members.shape[1]), np.empty(CELL_SIZE)
     last = -1
     while True:
         best = int(np.argmax(gains))
@@ -84,7 +76,7 @@ def find_best_candidate(gains, cells):
         if gains[best] == -np.inf:
             return -1
         if cells.n_terms[best] < 0:
-            gains[best] = _gain_of(best, cells, to_centres, to_members)
+            gains[best] = _gain_of(best, cells, to_centers, to_members)
         else:
             gains[best] = _gain_of_known_terms(best, cells)
         last = best
@@ -93,12 +85,12 @@ def find_best_candidate(gains, cells):
 @kernel(error_model="numpy")
 def add_to_selection(index, cells):
     """Update distances, costs and reaches after scenario `index` was selected."""
-    to_centres, to_members = np.empty(cells.members.shape[1]), np.empty(CELL_SIZE)
+    to_centers, to_members = np.empty(cells.members.shape[1]), np.empty(CELL_SIZE)
     for k in range(len(cells.members)):
         point = cells.coordinates[k, index]
-        _fill_squares_to_centres(point, cells.centres[k], to_centres)
-        for cell in range(len(to_centres)):
-            if to_centres[cell] <= cells.reach[k, cell] and _fill_squares_if_nearer(
+        fill_squares_to_centers(point, cells.centers[k], to_centers)
+        for cell in range(len(to_centers)):
+            if to_centers[cell] <= cells.reach[k, cell] and fill_squares_if_nearer(
                 point, cells.members[k, cell], cells.nearest_squares[k, cell], to_members
             ):
                 squares, costs = cells.nearest_squares[k, cell], cells.costs[k, cell]
@@ -108,18 +100,18 @@ def add_to_selection(index, cells):
                         costs[i] = _weighted_cost(
                             to_members[i], cells.usual_distances[k], cells.power, cells.weights[k, cell, i]
                         )
-                cells.reach[k, cell] = (cells.radii[k, cell] + math.sqrt(squares.max())) ** 2 * _MARGIN
+                cells.reach[k, cell] = (cells.radii[k, cell] + math.sqrt(squares.max())) ** 2 * MARGIN
 
 
 @kernel(error_model="numpy", _nrt=False)
-def _gain_of(index, cells, to_centres, to_members):
+def _gain_of(index, cells, to_centers, to_members):
     gain, n_terms = 0.0, 0
     term_members, term_costs = cells.term_members[index], cells.term_costs[index]
     for k in range(len(cells.members)):
         point = cells.coordinates[k, index]
-        _fill_squares_to_centres(point, cells.centres[k], to_centres)
-        for cell in range(len(to_centres)):
-            if to_centres[cell] <= cells.reach[k, cell] and _fill_squares_if_nearer(
+        fill_squares_to_centers(point, cells.centers[k], to_centers)
+        for cell in range(len(to_centers)):
+            if to_centers[cell] <= cells.reach[k, cell] and fill_squares_if_nearer(
                 point, cells.members[k, cell], cells.nearest_squares[k, cell], to_members
             ):
                 squares, costs, weights = cells.nearest_squares[k, cell], cells.costs[k, cell], cells.weights[k, cell]
@@ -128,7 +120,7 @@ def _gain_of(index, cells, to_centres, to_members):
                         cost = _weighted_cost(to_members[i], cells.usual_distances[k], cells.power, weights[i])
                         gain += costs[i] - cost
                         if n_terms < MAX_KNOWN_TERMS:
-                            term_members[n_terms] = (k * len(to_centres) + cell) * CELL_SIZE + i
+                            term_members[n_terms] = (k * len(to_centers) + cell) * CELL_SIZE + i
                             term_costs[n_terms] = cost
                         n_terms += 1
     if n_terms <= MAX_KNOWN_TERMS:
@@ -149,36 +141,6 @@ def _gain_of_known_terms(index, cells):
             n_terms += 1
     cells.n_terms[index] = n_terms
     return gain
-
-
-@kernel(error_model="numpy", _nrt=False)
-def _fill_squares_to_centres(point, centres, result):
-    result[:] = 0.0
-    for axis in range(AXES_PER_STAGE):
-        for cell in range(len(result)):
-            difference = point[0, axis] - centres[axis, cell]
-            result[cell] += difference * difference
-
-
-@kernel(error_model="numpy", _nrt=False)
-def _fill_squares_if_nearer(point, cell, nearest_squares, result):
-    """Write the squared distances of a point to a cell to `result`.
-
-    Returns False as soon as no distance can be less than in `nearest_squares`.
-    """
-    result[:] = 0.0
-    for stage in range(len(point)):
-        n_nearer = 0
-        for i in range(CELL_SIZE):
-            total = result[i]
-            for axis in range(AXES_PER_STAGE):
-                difference = point[stage, axis] - cell[stage, axis, i]
-                total += difference * difference
-            result[i] = total
-            n_nearer += total < nearest_squares[i]
-        if not n_nearer:
-            return False
-    return True
 
 
 @kernel(error_model="numpy", _nrt=False)

@@ -1,0 +1,45 @@
+"""Compiled search for the nearest points, for points with many axes of which the first matter most."""
+
+# Compiled functions have no static types.
+# mypy: disable-error-code="no-untyped-def, untyped-decorator"
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from cornercase._common.numba.kernel import kernel
+from cornercase.clustering._cells import CELL_SIZE, MARGIN, fill_squares_if_nearer, fill_squares_to_centers
+
+
+@kernel(error_model="numpy")
+def fill_nearest_rows(columns, cells, result):
+    """Write the indices of the nearest rows of each column, the nearest first, to `result`, shape (m, k).
+
+    `columns` have shape (m, stages, AXES). `cells` are made of the rows, of which there are at least k.
+    """
+    n_nearest, n_cells = result.shape[1], len(cells.indices)
+    to_centers, to_members, bounds = np.empty(n_cells), np.empty(CELL_SIZE), np.empty(CELL_SIZE)
+    nearest, nearest_squares = np.empty(n_nearest, dtype=np.int64), np.empty(n_nearest)
+    for j in range(len(columns)):
+        fill_squares_to_centers(columns[j], cells.centers, to_centers)
+        nearest_squares[:] = np.inf
+        start = to_centers.argmin()
+        # Neighbours in the order of cells are mostly near, too, so that nearly all others are skipped.
+        for step in range(n_cells):
+            cell = (start + (step + 1) // 2 * (1 - 2 * (step % 2))) % n_cells
+            farthest = nearest_squares[n_nearest - 1]
+            if to_centers[cell] > (cells.radii[cell] + math.sqrt(farthest)) ** 2 * MARGIN:
+                continue
+            bounds[:] = farthest
+            if not fill_squares_if_nearer(columns[j], cells.members[cell], bounds, to_members):
+                continue
+            for i in range(CELL_SIZE):
+                if cells.indices[cell, i] >= 0 and to_members[i] < nearest_squares[n_nearest - 1]:
+                    k = n_nearest - 1
+                    while k > 0 and nearest_squares[k - 1] > to_members[i]:
+                        nearest_squares[k], nearest[k] = nearest_squares[k - 1], nearest[k - 1]
+                        k -= 1
+                    nearest_squares[k], nearest[k] = to_members[i], cells.indices[cell, i]
+        result[j] = nearest
