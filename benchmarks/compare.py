@@ -23,6 +23,7 @@ from __future__ import annotations
 import argparse
 import json
 import tempfile
+import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -31,6 +32,7 @@ from typing import Any
 import numpy as np
 
 import cornercase as cc
+from cornercase import NoticeWarning
 from cornercase.drivers import NORMAL, SENSORS, BehaviourDriver, EquippedDriver
 from cornercase.exploration._explore import explore_config
 from cornercase.exploration._paper_examples import paper_experiment_config
@@ -54,7 +56,8 @@ def explored(
             critical=EXAMPLES[example],
             drivers={"Ego": EquippedDriver(driver, list(map(SENSORS.create, sensors))) if sensors else driver},
         )
-        explore_config(chosen, path, notices=False)
+        with warnings.catch_warnings(action="ignore", category=NoticeWarning):
+            explore_config(chosen, path)
     return path
 
 

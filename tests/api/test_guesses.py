@@ -278,7 +278,7 @@ def test_what_tab_completion_and_print_show(problem, driven):
     assert driven.optimizer == "sobol"
     assert repr(driven.simulator) == "Builtin(drivers={'Ego': CAUTIOUS}, time_step=0.1)"
     opened = cc.Study.open(driven.path)
-    assert opened.simulator == "builtin"
+    assert opened.simulator == Builtin(drivers={"Ego": "cautious"}, time_step=0.1)
     assert "in builtin, Ego driven by cautious; 12 scenarios run" in repr(opened)
     assert {"cautious", "normal"} <= set(cc.drivers.DRIVERS)
     assert "wttc" in repr(cc.metrics.METRICS)

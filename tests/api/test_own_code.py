@@ -187,7 +187,7 @@ def test_a_study_is_continued_with_the_same_objects_alone(own, problem, explored
 
 def test_a_study_runs_nothing_without_the_class_of_its_metric(own, explored):
     study = cc.Study.open(explored.path, Builtin(drivers={"Ego": own["Lazy"](9.0)}), scenario=X)
-    expected = r"The metric 'speed-nearby' is of the class SpeedNearby; .* metrics=\[SpeedNearby\(\)\]\)\."
+    expected = r"The metric 'speed-nearby' is of the class SpeedNearby; .* metrics=\[SpeedNearby\(\)\]\), simulator, seed=…\)\."
     with pytest.raises(cc.InputError, match=expected):
         study.explore(own["Walk"](step=0.2), budget=6)
     assert len(study.table()) == 4

@@ -24,7 +24,17 @@ from helpers.command_line import SPACE, X
 pytestmark = pytest.mark.filterwarnings("ignore::cornercase.NoticeWarning")
 
 VERBS = ("explore", "cluster", "reduce", "report", "watch", "replay", "estimate")
-READS = ("table", "most_critical", "recording", "course", "critical_set", "sensitivity", "summary", "export")
+READS = (
+    "table",
+    "most_critical",
+    "pareto_front",
+    "recording",
+    "course",
+    "critical_set",
+    "sensitivity",
+    "summary",
+    "export",
+)
 
 
 @pytest.fixture(scope="module")
@@ -182,14 +192,46 @@ def test_what_cannot_be_estimated_is_said(problem, tmp_path):
     study.explore("sobol", budget=2)
     with pytest.raises(cc.InputError, match="sensitivities need 10 scenarios or more"):
         study.sensitivity()
-    # Messages name arguments as the verbs do.
     front = cc.Problem(problem.scenario, "Ego", "Pedestrian", ["wttc", "distance"], pareto=True)
     study = cc.Study.create(tmp_path / "front.db", front)
     study.explore("sobol", budget=2)
-    with pytest.raises(cc.InputError, match="a Pareto front has no threshold; leave out `threshold`"):
-        study.critical_set(threshold=0.2)
-    with pytest.raises(cc.InputError, match="nothing says what is critical"):
-        study.critical_set()
+    for threshold in (None, 0.2):
+        with pytest.raises(
+            cc.InputError, match="a Pareto front was searched, which has no critical set; use `pareto_f"
+        ):
+            study.critical_set(threshold=threshold)
+
+
+def test_the_front_of_a_study_is_a_table(problem, tmp_path):
+    both = cc.Problem(problem.scenario, "Ego", "Pedestrian", ["wttc", "distance"], pareto=True)
+    study = cc.Study.create(tmp_path / "front.db", both)
+    study.explore(cc.optimizers.Evolutionary(population=6), budget=18)
+    table = study.table()
+    scores = table[["wttc", "distance"]].to_numpy()
+    dominated = [any((other <= own).all() and (other < own).any() for other in scores) for own in scores]
+    front = study.pareto_front()
+    assert sorted(front.index) == table.index[~np.array(dominated)].tolist()
+    assert front["wttc"].is_monotonic_increasing
+    pd.testing.assert_frame_equal(front, table.loc[front.index])
+
+
+def test_a_study_without_a_front_says_what_to_use(explored):
+    with pytest.raises(cc.InputError, match="no Pareto front was searched; use `most_critical`"):
+        explored.pareto_front()
+
+
+def test_a_weighted_sum_is_a_column_and_ranks_the_scenarios(problem, tmp_path):
+    weighted = cc.Problem(
+        problem.scenario, "Ego", "Pedestrian", ["wttc", "pet"], threshold=1.0, weights={"wttc": 1.0, "pet": 5.0}
+    )
+    study = cc.Study.create(tmp_path / "weighted.db", weighted)
+    study.explore("sobol", budget=12)
+    table = study.table()
+    np.testing.assert_allclose(table["objective"], table["wttc"] + 5.0 * table["pet"])
+    ranked = study.most_critical()
+    assert ranked["objective"].is_monotonic_increasing
+    assert not ranked["wttc"].is_monotonic_increasing
+    assert study.most_critical(metric="wttc")["wttc"].is_monotonic_increasing
 
 
 def test_messages_name_the_verbs_and_their_arguments(problem, tmp_path):
@@ -224,7 +266,7 @@ def test_own_drivers_are_given_again_and_code_that_a_study_names_is_not_run(prob
     )
     study = cc.Study.open(path)
     assert len(study.table()) == 2
-    with pytest.raises(cc.InputError, match=r"a study names is not run, so give it again in `simulator`\.$"):
+    with pytest.raises(cc.InputError, match=r"is not run, so give it again in the `simulator` of Study\.open\.$"):
         study.explore(budget=3)
 
 

@@ -151,7 +151,7 @@ def test_a_preset_is_written_with_its_value_so_that_files_run_on_their_own(folde
 def test_a_suite_gives_an_own_driver_its_values(folder):
     ended = cornercase("test", "own-set", "-o", "own-again.db", cwd=folder)
     assert ended.returncode == 2
-    assert "give the driver, for example Ego=own_aeb:Aeb." in ended.stderr
+    assert "give the driver, as in Ego=own_aeb:Aeb." in ended.stderr
     ended = cornercase("test", "own-set", "--driver", "Ego=own_aeb:Aeb", "-o", "own-again.db", cwd=folder)
     assert ended.returncode == 0, ended.stderr
     assert "3 of 3 recordings are identical" in ended.stdout

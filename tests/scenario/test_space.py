@@ -359,6 +359,30 @@ def test_a_scenario_of_which_nothing_varies_yet_is_varied_step_by_step(tmp_path)
     assert not list(tmp_path.iterdir())
 
 
+def test_equal_bounds_fix_a_parameter_in_each_run():
+    logical = LogicalScenario.read(EXAMPLES / "r157" / "deceleration.xosc").vary("gap", 20, 40)
+    fixed = logical.vary("deceleration", 2.5, 2.5)
+    assert repr(fixed).endswith("gap 20 to 40, deceleration 2.5>")
+    assert {values["deceleration"] for values in fixed.space.values(np.random.default_rng(0).random((9, 2)))} == {2.5}
+    assert ParameterSpace.from_json(fixed.space.to_json()) == fixed.space
+    assert fixed.vary("deceleration", 1, 6) == logical.vary("deceleration", 1, 6)
+
+
+@pytest.mark.parametrize(
+    ("bounds", "says"),
+    [
+        ({"low": 9, "high": 8}, "`low` 9, `high` 8: the range of gap is 9 to 8; the lower bound must be below"),
+        ({"low": 9, "high": 10, "step": 3}, "`low` 9, `high` 10, `step` 3: the step of gap must be above 0"),
+        ({"low": 9, "high": 1e16}, "`low` 9, `high` 1e+16: the bounds of gap are"),
+        ({"low": 1e16, "high": 1e16}, "`low` 1e+16, `high` 1e+16: the bounds of gap are"),
+    ],
+)
+def test_a_range_that_cannot_be_varied_names_the_arguments_of_vary(bounds, says):
+    with pytest.raises(InputError) as refused:
+        LogicalScenario.read(EXAMPLES / "r157" / "deceleration.xosc").vary("gap", **bounds)
+    assert str(refused.value).startswith(says)
+
+
 def test_a_parameter_may_have_a_single_value():
     one = Parameter("a", 2.0, 2.0, 1.0)
     assert (one.size, one.value_at(0.7), one.unit_position(2.0)) == (1, 2.0, 0.5)

@@ -190,9 +190,7 @@ def test_43_5_a_study_in_which_nobody_drives_the_ego_says_so(tmp_path):
             "--optimizer", "sobol", "--budget", 1, "--duration", 0.1, *options, "-o", tmp_path / f"{len(options)}.db",
         ).stderr  # fmt: skip
 
-    nobody = (
-        "Nobody drives Ego: it follows the scenario and does not react; give it a driver with --driver Ego=normal.\n"
-    )
+    nobody = "Nobody drives Ego: it follows the scenario and does not react; give it a driver with --driver, as in Ego=normal.\n"
     assert nobody in said(undriven)
     with cc.study.StudyFile.open(tmp_path / "0.db", readonly=True) as study:
         assert study.meta.roles_text == (

@@ -78,7 +78,7 @@ BAD = {
     "nothing in it": (lambda f: spoilt(f, space=None), "cannot be used as a manifest"),
     "no texts": (lambda f: spoilt(f, ego=3), "cannot be used as a manifest"),
     "a driver of somebody's own": (
-        lambda f: spoilt(f, settings={"drivers": {"Ego": {"class": "Mine"}}}), "give the driver, for example Ego=",
+        lambda f: spoilt(f, settings={"drivers": {"Ego": {"class": "Mine"}}}), "give the driver, as in {'Ego': 'normal'}",
     ),
     "values of nothing": (lambda f: spoilt_value(f, {}), "do not fit its parameter space"),
     "values that are too large": (lambda f: spoilt_value(f, {"ego_speed_mps": 10**400}), "manifest.json: "),

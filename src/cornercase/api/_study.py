@@ -7,10 +7,11 @@ from contextlib import suppress
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal, Self
+from typing import TYPE_CHECKING, Any, Literal, Self
 
 from cornercase._common.errors import InputError, short_errors
 from cornercase._common.io.files import check_writable_file
+from cornercase._common.io.support_table import issue_each_notice_once
 from cornercase._common.memory import DEFAULT_MEMORY
 from cornercase._common.progress import can_show_bar
 from cornercase._common.text.notebook_html import render_html, render_html_table
@@ -19,7 +20,8 @@ from cornercase._common.validation import check_int, check_path
 from cornercase.api._simulator_fields import simulator_fields
 from cornercase.api._written_page import Page
 from cornercase.exploration import Estimation, ExplorationResult, Problem, Runs
-from cornercase.exploration._config import ExplorationConfig, config_from_study
+from cornercase.exploration._best_scores import is_on_pareto_front
+from cornercase.exploration._config import ExplorationConfig, config_from_study, simulator_from_study
 from cornercase.exploration._explore import explore_config, simulator_from_config
 from cornercase.exploration._explore_options import stored_search_settings
 from cornercase.exploration._problem import (
@@ -46,8 +48,6 @@ if TYPE_CHECKING:
     from cornercase.reduction import ArchetypeMethod, KillMatrix, ReducedSet
     from cornercase.report import CriticalEstimates, Summary
     from cornercase.simulators import Simulator
-
-_DRIVER_HINT: Final = "give it again in `simulator`, as in Builtin(drivers={{{entity!r}: {driver!r}}})"
 
 
 class Study(PathLike[str]):
@@ -104,8 +104,7 @@ class Study(PathLike[str]):
         self._problem, self._seed = problem, None if seed is None else check_int("seed", seed, 0)
         self._simulator, self._simulator_fields = simulator, {} if simulator is None else simulator_fields(simulator)
         self._scenario = None if scenario is None else check_path("scenario", scenario)
-        # Of the scenario's files; the same for each exploration.
-        self._has_shown_notices = False
+        self._issued_notices: set[str] = set()
 
     @classmethod
     def create(
@@ -150,16 +149,19 @@ class Study(PathLike[str]):
     ) -> Self:
         """Open an existing study.
 
-        Problem, simulator and seed are read from the file. Code that the file names is never run. If the study was
-        explored with your own driver or simulator, give `simulator` again to run further scenarios; reading the study
-        does not need it.
+        Problem, simulator and seed are read from the file. Of the simulator, the file keeps its name, time step,
+        longest duration, effect of collisions, options that are numbers, and the drivers of cornercase with their
+        options; the attribute `simulator` has them. Code that the file names is never run. So `simulator` has to be
+        given again to run further scenarios if a driver, the simulator or a metric is Python code of your own, or if
+        an option of the simulator is a text, such as a path or an address; for a metric, use `open_or_create`. Reading
+        the study needs none of these.
 
         Parameters
         ----------
         path : path
             File of the study.
         simulator : Simulator or str, optional
-            Simulator that runs further scenarios; by default the study's simulator, without options.
+            Simulator that runs further scenarios, with all its options and drivers; by default that of the study.
         scenario : path, optional
             OpenSCENARIO file that was explored. By default it is searched at the path stored in the study, beside the
             study and in the current folder, and recognized by its fingerprint.
@@ -257,11 +259,15 @@ class Study(PathLike[str]):
 
     @property
     def simulator(self) -> Simulator | str:
-        """Simulator that runs the scenarios, as it was given; of an opened study, its name in the file."""
+        """Simulator that runs the scenarios, as it was given; of an opened study, one like that in the file.
+
+        It can be used for another study. `InputError` if the study only names the simulator, an option of it or a
+        driver; then give the simulator to `open`.
+        """
         if self._simulator is not None:
             return self._simulator
-        with self._read() as file:
-            return file.meta.simulator
+        with name_arguments_of_objects(), self._read() as file:
+            return simulator_from_study(file.meta, self.path)
 
     @property
     def optimizer(self) -> str | None:
@@ -310,8 +316,10 @@ class Study(PathLike[str]):
             Number of scenarios in total, including those that were run before; 200 by default.
         stop : StopRule or str, or sequence of these
             Rules of `cornercase.stop` that end the search before the budget is used up: when the critical set is known
-            well enough (``stop.missed(0.05)``), after a time, or when there is no improvement. If there are several
-            rules about the critical set, all of them must hold.
+            well enough (``stop.missed(0.05)``), after a time, or when there is no improvement. A sequence combines
+            rules, as in ``[stop.missed(0.1), stop.seconds(60)]``: all of those about the critical set must hold; each
+            of the others ends the search by itself. For a rule of your own, call `explore` in a loop with a growing
+            `budget`, and end the loop yourself.
         runs : Runs, optional
             How scenarios are run.
         batch : int, optional
@@ -361,14 +369,13 @@ class Study(PathLike[str]):
                 with self._read() as file:
                     meta = file.meta
             config = self._make_config(meta, **{key: value for key, value in settings.items() if value is not None})
-            result = explore_config(
-                config,
-                self.path,
-                can_show_bar() if progress is None else progress,
-                retry_failed=retry_failed,
-                notices=not self._has_shown_notices,
-            )
-        self._has_shown_notices = True
+            with issue_each_notice_once(self._issued_notices):
+                result = explore_config(
+                    config,
+                    self.path,
+                    can_show_bar() if progress is None else progress,
+                    retry_failed=retry_failed,
+                )
         if result.interrupted:
             # What follows in a script or notebook is not done with half a search.
             raise KeyboardInterrupt(f"Interrupted after {result.n_finished} scenarios. The same call again resumes.")
@@ -712,7 +719,7 @@ class Study(PathLike[str]):
         path : path
             Study of the estimate, to create or resume. The study that was explored is only read.
         budget : int, default 2000
-            Number of scenarios in total; at most 40 % of the first budget are used for learning.
+            Number of scenarios in total, 100 or more; at most 40 % of the first budget are used for learning.
         threshold : float, optional
             Score from which a scenario is critical; by default that of the study.
         encounter : float, default 10.0
@@ -763,9 +770,10 @@ class Study(PathLike[str]):
         -------
         DataFrame
             One row per scenario, indexed by its id: ``round``, ``state``, the parameters, the score by each metric,
-            ``collision`` (the entity that the ego collides with first), ``impact speed`` in m/s, and once they are
-            known ``cluster by …`` (-1 for noise), ``outcome`` and ``note``; ``error`` if it failed. All columns are
-            listed in `cornercase.study.StudyFile.table`.
+            ``objective`` (the sum that was minimized, if the problem has `weights`), ``collision`` (the entity that the
+            ego collides with first), ``impact speed`` in m/s, and once they are known ``cluster by …`` (-1 for noise),
+            ``outcome`` and ``note``; ``error`` if it failed. All columns are listed in
+            `cornercase.study.StudyFile.table`.
         """
         with self._read() as file:
             return file.table()
@@ -781,7 +789,8 @@ class Study(PathLike[str]):
         n : int, default 10
             Largest number of rows.
         metric : str, optional
-            By default the first metric of the study.
+            By default what was searched: the first metric of the study, or the weighted sum. For a Pareto front it is
+            the first metric; see `pareto_front`.
 
         Returns
         -------
@@ -796,6 +805,30 @@ class Study(PathLike[str]):
         count = check_int("n", n, 1)
         with self._read() as file, file.snapshot():
             return file.table().loc[file.most_critical(metric)[:count]]
+
+    def pareto_front(self) -> pd.DataFrame:
+        """Make a table of the scenarios on the Pareto front.
+
+        A scenario is on the front if no other is at least as critical by every metric and more critical by one.
+
+        Returns
+        -------
+        DataFrame
+            Rows of `table`, the most critical one by the first metric first.
+
+        Raises
+        ------
+        InputError
+            No scenario was run, or no Pareto front was searched.
+        """
+        with self._read() as file, file.snapshot():
+            if not file.meta.pareto:
+                raise InputError(
+                    f"{self.path}: no Pareto front was searched; use `most_critical`, or a Problem(…, pareto=True)."
+                )
+            is_on_front = is_on_pareto_front(file.objective.minimized_scores(file))
+            front = {row.id for row, on in zip(file.finished_rows(), is_on_front, strict=True) if on}
+            return file.table().loc[[scenario for scenario in file.most_critical() if scenario in front]]
 
     def recording(self, scenario: int) -> Recording:
         """Read the recording of a scenario.
@@ -857,10 +890,16 @@ class Study(PathLike[str]):
         Raises
         ------
         InputError
-            No scenario was run, or there is no threshold.
+            No scenario was run, there is no threshold, or a Pareto front was searched.
         """
         from cornercase.report._estimates import estimate_critical
 
+        with self._read() as searched:
+            if searched.meta.pareto:
+                raise InputError(
+                    f"{self.path}: a Pareto front was searched, which has no critical set; use `pareto_front`, or"
+                    " search a Problem with one metric or with `weights`."
+                )
         with (
             name_arguments_of_objects(),
             open_study(self._file, readonly=True, critical=threshold) as file,
@@ -968,7 +1007,6 @@ class Study(PathLike[str]):
                 self._scenario,
                 fields.get("simulator"),
                 fields.pop("drivers", {}),
-                driver_hint=_DRIVER_HINT,
             )
         return replace(config, **fields)
 
@@ -977,7 +1015,8 @@ class Study(PathLike[str]):
 
     def __repr__(self) -> str:
         if self._problem is not None and not self.path.exists():
-            return f"<Study {str(self.path)!r}: {self._problem!r}; no scenario was run yet>"
+            simulator = self._simulator if isinstance(self._simulator, str) else repr(self._simulator)
+            return f"<Study {str(self.path)!r}: {self._problem!r} in {simulator}; no scenario was run yet>"
         with self._read() as file:
             return repr(file)
 

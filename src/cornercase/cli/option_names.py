@@ -26,10 +26,15 @@ _OPTION_BY_PARAMETER: Final = {
 # Also a column of recordings, which messages name.
 _AMBIGUOUS: Final = "speed"
 _QUOTED: Final = re.compile(r"`(\w+)`")
+_DRIVER: Final = re.compile(r"as in \{'([^']*)': '([^']*)'\}")
 
 
 def use_option_names(message: str) -> str:
-    """Replace names in backticks by options and commands: `` `stop_when` `` becomes ``--stop-when``."""
+    """Replace names in backticks by options and commands: `` `stop_when` `` becomes ``--stop-when``.
+
+    A driver by entity, ``{'Ego': 'normal'}``, becomes ``Ego=normal``.
+    """
+    message = _DRIVER.sub(r"as in \1=\2", message)
     names = _names_on_command_line()
     return _QUOTED.sub(lambda match: names.get(match[1], match[0]), message)
 

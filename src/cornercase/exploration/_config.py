@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, Final, cast
 
 from cornercase._common.configurable import require_storable_options
 from cornercase._common.errors import InputError
@@ -27,8 +29,9 @@ from cornercase.optimizers import OPTIMIZERS, Optimizer
 from cornercase.optimizers._missing import known_optimizer
 from cornercase.scenario import LogicalScenario
 from cornercase.scenario._file import ScenarioFile
-from cornercase.simulators import Simulator
-from cornercase.simulators._common_options import split_common_options
+from cornercase.simulators import SIMULATORS, Simulator
+from cornercase.simulators._base import COMMON_OPTIONS
+from cornercase.simulators._common_options import select_declared_options, split_common_options
 from cornercase.stop._stop_rules import StopCriterion, resolve_stop_rules
 from cornercase.study import StudyFile, StudyMeta
 from cornercase.study._meta import MAX_AUDIT_FRACTION, metric_fields
@@ -36,6 +39,9 @@ from cornercase.study._objective import Objective
 from cornercase.study._run_rates import MIN_DECISIVE_RUNS
 from cornercase.study._scenario_file import find_explored_scenario
 from cornercase.study._stored_paths import stored_path
+
+_NUMERIC_OPTION: Final = re.compile(r"\w+=(true|false|[-+.\deE]+)")
+_SIMULATOR_HINT: Final = "give it again with `simulator`"
 
 
 @dataclass(frozen=True)
@@ -169,6 +175,15 @@ class ExplorationConfig(ExplorationOptions):
             self.logical.space, self.seed, threshold=threshold, budget=self.budget
         )
 
+    def optimizer_text(self, stored: str) -> str:
+        """Return the text of the optimizer; that of a study, `stored`, if it makes the same optimizer."""
+        text, name = str(self.optimizer), stored.partition(":")[0]
+        # A study makes nothing that the user did not name.
+        if text != stored and text.partition(":")[0] == name and name in OPTIMIZERS:
+            with suppress(InputError):
+                return stored if OPTIMIZERS.create(stored) == self.optimizer else text
+        return text
+
     def make_study_meta(
         self,
         objective: Objective,
@@ -217,39 +232,75 @@ def config_from_study(
     simulator: str | Simulator | None,
     drivers: Mapping[str, DriverLike],
     metrics: Sequence[Metric | str] = (),
-    *,
-    driver_hint: str = "give it again with `drivers`, as in {entity}={driver}",
 ) -> ExplorationConfig:
     """Rebuild the configuration with which a study was explored.
 
     `file` is the path of the study, for messages. `scenario` is the explored file; by default it is searched. Without
-    `simulator` the study's own is used, without options. `drivers` are the user's own drivers by entity. `metrics` are
-    all metrics, which are needed if one is the user's own. Raises `InputError` if a file or driver is missing.
+    `simulator` the study's own is used. `drivers` are the user's own drivers by entity. `metrics` are all metrics,
+    which are needed if one is the user's own. Raises `InputError` if a file, driver or simulator is missing.
     """
-    meta, settings = study.meta, study.meta.settings
+    meta = study.meta
     logical = read_logical_scenario(study, scenario)
-    resolved_drivers: dict[str, DriverLike] = dict(check_mapping("drivers", drivers))
-    for entity, driver in settings.get("drivers", {}).items():
-        # A study file must not make us import a module.
-        if isinstance(driver, str) and may_be_named_in_file(driver):
-            resolved_drivers.setdefault(entity, driver)
-        elif entity not in resolved_drivers:
-            command = driver_command_option(driver)
-            # An object that no text describes is given as an object again.
-            hint = driver_hint.partition(",")[0] if command is None else driver_hint
-            hint = hint.format(entity=entity, driver=command)
-            raise InputError(
-                f"{file}: {format_driver(driver)} drove {entity}; code that a study names is not run, so {hint}."
-            )
+    resolved_drivers = _drivers_to_continue(meta, file, drivers)
     values = stored_values(meta) | {
         "metrics": metrics or metrics_to_continue(meta),
         "optimizer": known_optimizer(meta.optimizer),
-        "simulator": meta.simulator.partition(":")[0] if simulator is None else simulator,
+        "simulator": _simulator_to_continue(meta, file) if simulator is None else simulator,
         "drivers": resolved_drivers,
         # Its scores are copied into the study.
         "warm_start": None,
     }
     return ExplorationConfig(logical, **{name: value for name, value in values.items() if value is not None})
+
+
+def simulator_from_study(meta: StudyMeta, file: Path) -> Simulator:
+    """Return a simulator like that of a study, with its settings and drivers; `file` is the path, for messages.
+
+    Raises `InputError` if the study only names it, or one of its options or drivers.
+    """
+    name = _simulator_to_continue(meta, file)
+    if name != meta.simulator:
+        raise InputError(
+            f"{file}: was explored with '{meta.simulator[:100]}'; options that are texts could name programs and are"
+            f" not taken from a study, so {_SIMULATOR_HINT}."
+        )
+    options = {key: meta.settings.get(key) for key in COMMON_OPTIONS} | {"drivers": _drivers_to_continue(meta, file)}
+    given = {key: value for key, value in options.items() if value not in (None, CONFIG_OPTIONS[key].default, {})}
+    return SIMULATORS.create(name, **select_declared_options(name, SIMULATORS.get_class(name), given))
+
+
+def _simulator_to_continue(meta: StudyMeta, file: Path) -> str:
+    """Return the name of a study's simulator, with its options if all are numbers: texts could name programs."""
+    name, _, options = meta.simulator.partition(":")
+    if name == "imported":
+        raise InputError(f"{file}: contains imported recordings, so no further scenario can be run.")
+    if name not in SIMULATORS:
+        raise InputError(
+            f"{file}: was explored with the simulator '{meta.simulator[:100]}', which is not installed here, or which"
+            f" Python code made; code that a study names is not run, so {_SIMULATOR_HINT}."
+        )
+    is_number = not SIMULATORS.takes_text(name) and all(map(_NUMERIC_OPTION.fullmatch, options.split(",")))
+    return meta.simulator if is_number else name
+
+
+def _drivers_to_continue(
+    meta: StudyMeta, file: Path, given: Mapping[str, DriverLike] | None = None
+) -> dict[str, DriverLike]:
+    """Return the drivers of a study by entity; `given` are those of the user, which the study can only name."""
+    drivers: dict[str, DriverLike] = dict(check_mapping("drivers", given or {}))
+    for entity, driver in meta.drivers.items():
+        # A study file must not make us import a module.
+        if isinstance(driver, str) and may_be_named_in_file(driver):
+            drivers.setdefault(entity, driver)
+        elif entity not in drivers:
+            command = driver_command_option(driver)
+            # An object that no text describes is given as an object again.
+            example = "" if command is None else f", as in {{{entity!r}: {command!r}}}"
+            raise InputError(
+                f"{file}: {format_driver(driver)} drove {entity}; code that a study names is not run, so give it again"
+                f" with `drivers`{example}."
+            )
+    return drivers
 
 
 def read_logical_scenario(study: StudyFile, scenario: Path | str | ScenarioFile | None) -> LogicalScenario:

@@ -117,6 +117,7 @@ def _verify_proposals_of_study(config: ExplorationConfig, study: Path) -> Explor
     with StudyFile.open(study, readonly=True) as opened_study:
         warm_start_info = opened_study.meta.elsewhere if warm_start is None else warm_start.study_info
         meta = config.make_study_meta(objective, opened_study.meta.settings, warm_start_info, study=study)
+        meta = replace(meta, optimizer=config.optimizer_text(opened_study.meta.optimizer))
     return verify_proposals(study, meta, objective, optimizer)
 
 
@@ -147,17 +148,13 @@ def explore_config(
     progress: bool = False,
     *,
     retry_failed: bool = False,
-    notices: bool = True,
 ) -> ExplorationResult:
-    """Run the exploration of a configuration, in a new or existing study; otherwise like `explore`.
-
-    With `notices`, warnings say what in the scenario's files has no effect.
-    """
+    """Run the exploration of a configuration, in a new or existing study; otherwise like `explore`."""
     file = check_path("study", study)
     check_bool("progress", progress)
     check_bool("retry_failed", retry_failed)
     try:
-        return _run_exploration(config, file, progress, retry_failed, notices)
+        return _run_exploration(config, file, progress, retry_failed)
     except KeyboardInterrupt:
         # Interrupted before or after the part in which the explorer handles it itself.
         with suppress(InputError), StudyFile.open(file, readonly=True) as opened:
@@ -166,7 +163,7 @@ def explore_config(
 
 
 def _run_exploration(
-    config: ExplorationConfig, study_path: Path, progress: bool, retry_failed: bool, notices: bool
+    config: ExplorationConfig, study_path: Path, progress: bool, retry_failed: bool
 ) -> ExplorationResult:
     start = time.monotonic()
     config.require_entities()
@@ -184,18 +181,18 @@ def _run_exploration(
             [config.logical.scenario_file],
             [config.logical.concrete_scenario(values) for values in sample_values],
         )
-        if notices:
-            warn_notices(_notices_at_center(config, simulator))
-            warn_if_ego_has_no_driver(simulator, [config.logical.scenario_file], config.ego)
-            if config.repeats == 1:
-                names = config.logical.space.names
-                random = find_random_sensors(simulator, [config.logical.scenario_file], names)
-                warn_if_runs_are_random(random, "`repeats` runs each scenario several times, each with other numbers")
+        warn_notices(_notices_at_center(config, simulator))
+        warn_if_ego_has_no_driver(simulator, [config.logical.scenario_file], config.ego)
+        if config.repeats == 1:
+            names = config.logical.space.names
+            random = find_random_sensors(simulator, [config.logical.scenario_file], names)
+            warn_if_runs_are_random(random, "`repeats` runs each scenario several times, each with other numbers")
         meta = config.make_study_meta(
             objective, simulator.settings, None if warm_start is None else warm_start.study_info, study=study_path
         )
         meta = replace(meta, driver_in_file=driver_in_files(simulator, [config.logical.scenario_file], config.ego))
         with open_or_create_study(study_path, meta) as study:
+            meta = replace(meta, optimizer=config.optimizer_text(study.meta.optimizer))
             if warm_start is None:
                 # A resumed study holds its warm-start data itself.
                 meta = replace(meta, elsewhere=study.meta.elsewhere)

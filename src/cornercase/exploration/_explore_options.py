@@ -87,8 +87,8 @@ class ExplorationOptions(SimulationOptions, RunOptions):
     batch: int = _search(10, "Number of concrete scenarios in a round.", metavar="N", minimum=1, stored="batch")
     weights: Mapping[str, float] = _search(
         dict, "Search the weighted sum of these metrics.", flag="--weight", metavar="METRIC=W", stored="weights",
-        docs="By metric: search the weighted sum of the scores. Metrics that are critical when high count with a minus"
-        " sign.")
+        docs="By metric, above 0: search the minimum of the weighted sum of the scores. A score that is critical when"
+        " high is subtracted; its weight is positive, too.")
     pareto: bool = _search(False, "Search the Pareto front of all metrics.", stored="pareto")
     repeats: int = _search(
         1, "Run each scenario N times; its score is the median.", metavar="N", minimum=1, stored="repeats",

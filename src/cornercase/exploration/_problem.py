@@ -24,10 +24,15 @@ _NAME_IN_OBJECTS: Final = {
     "analyze": "cluster",
     "critical": "threshold",
     "critical_if": "condition",
+    "output": "path",
     "id": "scenario",
     "stop_when": "stop",
     "study": "path",
 }
+
+# Objects hold drivers in their simulator.
+_DRIVER_HINT: Final = re.compile("give it again with `drivers`")
+_DRIVER_EXAMPLE: Final = re.compile(r"Study\.open, as in (\{.*\})")
 
 
 def suggest_arguments(function: Function) -> Function:
@@ -64,9 +69,11 @@ class Problem:
         consists of ``collision`` (of the ego with anybody), ``reference:NAME`` (the ego would also collide if this
         driver drove it), bounds on scores such as ``ttc < 1``, ``and``, ``or``, ``not`` and brackets.
     weights : mapping of str to float, optional
-        By metric: search the weighted sum of the scores. Metrics that are critical when high count with a minus sign.
+        By metric, above 0: search the minimum of the weighted sum of the scores. A score that is critical when high is
+        subtracted; its weight is positive, too.
     pareto : bool, default False
-        Search the Pareto front of all metrics.
+        Search the Pareto front of all metrics. Of the optimizers, ``Evolutionary()`` and ``Optuna("nsga2")`` search it;
+        ``Sobol()``, ``Grid()`` and ``Random()`` sample the space regardless.
 
     Raises
     ------
@@ -163,4 +170,7 @@ class name_arguments_of_objects(short_errors):  # noqa: N801
         # A verb of an object names no file.
         message = message.replace("name another study with `study`", "create another study")
         message = message.replace("name it with `scenario`", "name it as in Study.open(…, scenario=…)")
+        message = message.replace("give it again with `simulator`", "give it again as in Study.open(…, simulator=…)")
+        message = _DRIVER_HINT.sub("give it again in the `simulator` of Study.open", message)
+        message = _DRIVER_EXAMPLE.sub(r"Study.open, as in Builtin(drivers=\1)", message)
         return re.sub(r"`(\w+)`", lambda match: f"`{_NAME_IN_OBJECTS.get(match[1], match[1])}`", message)

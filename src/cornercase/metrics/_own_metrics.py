@@ -45,7 +45,8 @@ class StoredMetric(Metric):
         class_name = escape_control_characters(str(self.description.get("class", "unknown")))[:100]
         return InputError(
             f"The metric '{self.name}' is of the class {class_name}; code that a study names is not run, so give the"
-            f" metric again as an object, as in Problem(…, metrics=[{class_name}()])."
+            f" metric again as an object, as in Study.open_or_create(path, Problem(…, metrics=[{class_name}()]),"
+            " simulator, seed=…)."
         )
 
 

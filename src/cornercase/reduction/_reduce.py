@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -11,8 +10,9 @@ from typing import Final, Literal
 
 import numpy as np
 
-from cornercase._common.errors import InputError, NoticeWarning
+from cornercase._common.errors import InputError
 from cornercase._common.io.files import check_folder
+from cornercase._common.io.support_table import issue_notice_warning
 from cornercase._common.memory import DEFAULT_MEMORY, MemoryLimit
 from cornercase._common.progress import show_bars
 from cornercase._common.typing import FloatArray, IntArray
@@ -245,9 +245,7 @@ def _warn_fewer_selected(n_requested: int, n_selected: int, n_scenarios: int) ->
     )
     if n_selected == n_scenarios:
         reason = "the study has no more"
-    warnings.warn(
-        f"{n_requested} scenarios were asked for, but {n_selected} are selected: {reason}", NoticeWarning, stacklevel=3
-    )
+    issue_notice_warning(f"{n_requested} scenarios were asked for, but {n_selected} are selected: {reason}")
 
 
 def _require_memory(study: StudyFile, memory_limit: MemoryLimit) -> None:

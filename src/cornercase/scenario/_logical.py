@@ -15,7 +15,7 @@ from cornercase._common.validation import check_bool, check_float, check_path, c
 from cornercase.scenario._constraints import read_declarations
 from cornercase.scenario._file import ScenarioFile
 from cornercase.scenario._parameter import Value
-from cornercase.scenario._range_syntax import format_ranges
+from cornercase.scenario._range_syntax import create_range, format_ranges
 from cornercase.scenario._road_choices import add_varied_roads
 from cornercase.scenario._scope import Scope
 from cornercase.scenario._space import ParameterSpace
@@ -217,7 +217,7 @@ class LogicalScenario:
             A parameter that the scenario file declares, or an option of an entity's driver, as in ``"Ego.reaction"``.
             It is added to the space, or its range is replaced.
         low, high : float
-            Bounds of the range, in the parameter's unit.
+            Bounds of the range, in the parameter's unit. Equal bounds fix the parameter: each scenario has this value.
         step : float, optional
             Distance of two values; by default all values between the bounds are possible.
 
@@ -240,12 +240,16 @@ class LogicalScenario:
         >>> logical = LogicalScenario.read("examples/r157/deceleration.xosc")
         >>> logical.vary("gap", 20, 40).vary("deceleration", 1, 6, step=0.5)
         <LogicalScenario 'examples/r157/deceleration.xosc': gap 20 to 40, deceleration 1 to 6 by 0.5>
+        >>> logical.vary("gap", 20, 40).vary("deceleration", 4, 4)
+        <LogicalScenario 'examples/r157/deceleration.xosc': gap 20 to 40, deceleration 4>
         """
-        bounds = [check_float("low", low), check_float("high", high)]
+        low, high = check_float("low", low), check_float("high", high)
+        location = f"`low` {low:g}, `high` {high:g}"
         if step is not None:
-            bounds.append(check_float("step", step, above=0.0))
-        text = f"{check_str('name', name)}={':'.join(map(repr, bounds))}"
-        return self._from_space(self.scenario_file, self.space.with_ranges([text]))
+            step = check_float("step", step, above=0.0)
+            location += f", `step` {step:g}"
+        varied = create_range(check_str("name", name), low, high, step, location, may_be_fixed=True)
+        return self._from_space(self.scenario_file, self.space.with_parameters([varied]))
 
     def concrete_scenario(self, values: Mapping[str, Value], seed: int = 0) -> ConcreteScenario:
         """Return a concrete scenario.

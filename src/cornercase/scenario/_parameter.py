@@ -90,6 +90,8 @@ class Parameter:
         """Short description of the values, such as ``"2 to 17 by 0.1"``."""
         if self.choices:
             return ", ".join(self.choices)
+        if self.low == self.high:
+            return f"{self.low:g}"
         implicit_step = self.step is None or (self.is_integer and self.step == 1.0)
         return f"{self.low:g} to {self.high:g}" + ("" if implicit_step else f" by {self.step:g}")
 

@@ -51,14 +51,21 @@ def _parse_range(text: str, location: str) -> Parameter:
     return create_range(match["name"].strip(), numbers["low"], numbers["high"], numbers.get("step"), location)
 
 
-def create_range(name: str, low: float, high: float, step: float | None, location: str) -> Parameter:
-    """Create a parameter with a range; raises `InputError` if the range is invalid."""
+def create_range(
+    name: str, low: float, high: float, step: float | None, location: str, *, may_be_fixed: bool = False
+) -> Parameter:
+    """Create a parameter with a range; raises `InputError` if the range is invalid.
+
+    With `may_be_fixed` the bounds may be equal, which makes a range with a step and a single value.
+    """
     if not (np.isfinite(low) and np.isfinite(high)):
         raise InputError(f"{location}: the bounds of {name} must be finite.")
     if max(abs(low), abs(high)) > _MAX_BOUND:
         raise InputError(
             f"{location}: the bounds of {name} are {low:g} and {high:g}; the largest value is {_MAX_BOUND:g}."
         )
+    if may_be_fixed and low == high:
+        return Parameter(name, low, high, step or 1.0)
     if low >= high:
         raise InputError(
             f"{location}: the range of {name} is {low:g} to {high:g}; the lower bound must be below the upper."

@@ -204,7 +204,19 @@ class ParameterSpace:
         InputError
             A text is malformed, a bound is not finite, or LOW is not below HIGH.
         """
-        added = parse_ranges(ranges)
+        return self.with_parameters(parse_ranges(ranges))
+
+    def with_parameters(self, added: Sequence[Parameter]) -> ParameterSpace:
+        """Return the space with parameters added, or replaced if the name exists.
+
+        Parameters
+        ----------
+        added : sequence of Parameter
+
+        Returns
+        -------
+        ParameterSpace
+        """
         remaining = [
             remove_from_value_sets(parameter, {addition.name for addition in added}) for parameter in self.parameters
         ]

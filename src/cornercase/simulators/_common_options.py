@@ -9,11 +9,14 @@ from typing import Any, Final
 from cornercase._common.configurable import declared_options, given_options
 from cornercase._common.errors import InputError
 from cornercase._common.io.support_table import issue_notice_warning
+from cornercase._common.registry import parse_options
 from cornercase._common.validation import check_str, not_an_object
 from cornercase.simulators._base import COMMON_OPTIONS, Simulator
+from cornercase.simulators._registry import SIMULATORS
 from cornercase.simulators._run_options import SIMULATION_OPTIONS
 
 _DEFAULT_OPTIONS: Final = {name: SIMULATION_OPTIONS[name].default for name in COMMON_OPTIONS}
+_OPTIONS_IN_TEXT: Final = set(COMMON_OPTIONS) - {"drivers"}
 
 
 def select_declared_options(name: str, simulator: type[Simulator], options: Mapping[str, Any]) -> dict[str, Any]:
@@ -47,14 +50,32 @@ def split_common_options(
     """Return a simulator without the options that all have, and these options, from it or from `options`."""
     common = {key: options[key] for key in _DEFAULT_OPTIONS}
     if isinstance(simulator, str):
-        return check_str("simulator", simulator), common
-    if not isinstance(simulator, Simulator):
+        stripped, own = _split_text(check_str("simulator", simulator))
+    elif isinstance(simulator, Simulator):
+        own = {key: value for key, value in given_options(simulator).items() if key in _DEFAULT_OPTIONS}
+    else:
         raise not_an_object("simulator", simulator)
-    own = {key: value for key, value in given_options(simulator).items() if key in _DEFAULT_OPTIONS}
     for key, value in own.items():
         if common[key] not in (None, _DEFAULT_OPTIONS[key], value):
             raise InputError(
                 f"`{key}`: the simulator {simulator!r} was created with another value; give the option only once."
             )
+    if isinstance(simulator, str):
+        return stripped, common | own
     declared = declared_options(type(simulator))
     return simulator.with_options(**{key: declared[key].default for key in own}), common | own
+
+
+def _split_text(text: str) -> tuple[str, dict[str, Any]]:
+    """Return the text of a simulator without the options that all have, and the values of these.
+
+    Drivers are no texts, and stay in the text, which then is refused.
+    """
+    name, _, after = text.partition(":")
+    parts = after.split(",")
+    common = [part for part in parts if part.partition("=")[0].strip() in _OPTIONS_IN_TEXT]
+    if not common or name not in SIMULATORS or SIMULATORS.takes_text(name):
+        return text, {}
+    values = parse_options("simulator", name, SIMULATORS.get_factory(name), ",".join(common))
+    rest = [part for part in parts if part not in common]
+    return ":".join([name, ",".join(rest)]) if rest else name, values

@@ -40,7 +40,7 @@ def find_parameters_of_drivers(
         else:
             raise InputError(
                 f"{scenario.path}: {next(iter(own.values()))} is a parameter of the driver of {entity}, but nobody"
-                f" drives it; give `drivers`, as in {entity}=normal."
+                f" drives it; give `drivers`, as in {{{entity!r}: 'normal'}}."
             )
         check_parameters(entity, made, own)
         parameters.append((entity, made, own))

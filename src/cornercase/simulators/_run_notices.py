@@ -136,7 +136,8 @@ def warn_if_ego_has_no_driver(simulator: Simulator, scenarios: Iterable[Scenario
     if (isinstance(drivers, dict) and ego in drivers) or driver_in_files(simulator, scenarios, ego) != "":
         return
     issue_notice_warning(
-        f"nobody drives {ego}: it follows the scenario and does not react; give it a driver with `drivers` {ego}=normal"
+        f"nobody drives {ego}: it follows the scenario and does not react; give it a driver with `drivers`, as in"
+        f" {{{ego!r}: 'normal'}}"
     )
 
 

@@ -13,6 +13,8 @@ from cornercase.evidence._critical_set_estimate import MIN_REGION_FRACTION, Crit
 
 _CRITERION_PATTERN = re.compile(r"(?P<what>[a-z-]+)(?:\((?P<size>[^()]*)\))?<(?P<below>.+)")
 
+_LIMIT_PATTERN = re.compile(r"(?P<name>max_seconds|patience)=(?P<value>.+)")
+
 _SIZED_QUANTITIES = ("overlooked", "unvisited")
 _QUANTITIES = ("missed", "interval", "audited-missed", *_SIZED_QUANTITIES)
 
@@ -20,8 +22,12 @@ _QUANTITIES = ("missed", "interval", "audited-missed", *_SIZED_QUANTITIES)
 class StopRule:
     """Rule that says when an exploration ends; the functions of `cornercase.stop` make rules.
 
-    Its `repr` is an expression that makes the rule again, and its `str` the text for the command line. Rules are
-    compared by value.
+    Its `repr` is an expression that makes the rule again, and its `str` a text that can be given instead. Rules are
+    compared by value. A sequence combines them: all rules about the critical set must hold, and each of `seconds` and
+    `no_improvement` ends the exploration by itself.
+
+    There are no rules of other classes, also none derived from this one. For a rule of your own, call `explore` in a
+    loop with a growing `budget`, and end the loop yourself.
 
     Examples
     --------
@@ -54,7 +60,7 @@ class StopCriterion(StopRule):
         if match is None or match["what"] not in _QUANTITIES:
             raise InputError(
                 f"`stop_when` {text}: write it as missed<0.01, interval<0.05, overlooked(0.01)<0.05,"
-                " unvisited(0.01)<0.05 or audited-missed<0.1, in quotes."
+                " unvisited(0.01)<0.05, audited-missed<0.1, max_seconds=60 or patience=5, in quotes."
             )
         if match["size"] is not None and match["what"] not in _SIZED_QUANTITIES:
             raise InputError(f"`stop_when` {text}: only overlooked and unvisited accept a size.")
@@ -111,10 +117,10 @@ class TimeLimit(StopRule):
     seconds: float
 
     def __str__(self) -> str:
-        return f"max_seconds={self.seconds:g}"
+        return f"max_seconds={repr(self.seconds).removesuffix('.0')}"
 
     def __repr__(self) -> str:
-        return f"seconds({self.seconds:g})"
+        return f"seconds({repr(self.seconds).removesuffix('.0')})"
 
 
 @dataclass(frozen=True, repr=False)
@@ -288,17 +294,35 @@ def no_improvement(rounds: int) -> StopRule:
 def resolve_stop_rules(rules: object) -> tuple[list[StopCriterion], float | None, int | None]:
     """Split rules into criteria that must all hold, a time limit in s, and a number of rounds without improvement.
 
-    A rule may be the text of a criterion. Of several time limits the smallest counts, and so for numbers of rounds;
+    A rule may be its text. Of several time limits the smallest counts, and so for numbers of rounds;
     where no rule gives one, it is None. Raises `InputError` for what is no rule.
     """
     several = rules if isinstance(rules, Sequence) and not isinstance(rules, str) else [rules]
-    resolved = [StopCriterion.parse(rule) if isinstance(rule, str) else rule for rule in several]
+    resolved = [_parse_rule(rule) if isinstance(rule, str) else rule for rule in several]
     for rule in resolved:
-        if not isinstance(rule, StopRule):
-            raise InputError(f"`stop_when` {repr_short(rule)}: give a rule such as stop.missed(0.05), or its text.")
+        if not isinstance(rule, StopCriterion | TimeLimit | NoImprovement):
+            raise InputError(
+                f"`stop_when` {repr_short(rule)}: give a rule of cornercase.stop, such as stop.missed(0.05), or its"
+                " text; rules of your own are not possible, so call `explore` in a loop with a growing `budget`, and"
+                " end the loop yourself."
+            )
     time_limit = min((rule.seconds for rule in resolved if isinstance(rule, TimeLimit)), default=None)
     rounds = min((rule.rounds for rule in resolved if isinstance(rule, NoImprovement)), default=None)
     return [rule for rule in resolved if isinstance(rule, StopCriterion)], time_limit, rounds
+
+
+def _parse_rule(text: str) -> StopRule:
+    """Parse the `str` of a rule."""
+    match = _LIMIT_PATTERN.fullmatch(text.replace(" ", ""))
+    if match is None:
+        return StopCriterion.parse(text)
+    try:
+        number = float(match["value"])
+    except ValueError:
+        raise InputError(f"`stop_when` {text}: '{match['value']}' has to be a number.") from None
+    if match["name"] == "max_seconds":
+        return TimeLimit(check_float("max_seconds", number, minimum=0.0))
+    return NoImprovement(check_int("patience", int(number) if number.is_integer() else number, 1))
 
 
 def _check_fraction(value: object, criterion: str) -> float:

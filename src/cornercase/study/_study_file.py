@@ -612,7 +612,7 @@ class StudyFile:
         Parameters
         ----------
         metric : str, optional
-            By default the first metric of the study.
+            By default the objective of the search; for a Pareto front the first metric of the study.
 
         Returns
         -------
@@ -625,10 +625,15 @@ class StudyFile:
         InputError
             The study has no such metric, or the package of the metric is not installed.
         """
-        name = self.meta.metrics[0] if metric is None else metric
         with self.snapshot():
-            scores, impacts = self.scores(name), self.impacts()
-        order = order_by_criticality(self.meta.create_metric(name).to_minimize(scores), list(impacts.values()))
+            impacts = self.impacts()
+            if metric is None and self.meta.weights:
+                minimized = self.objective.minimized_scores(self)
+            else:
+                name = self.meta.metrics[0] if metric is None else metric
+                scores = self.scores(name)
+                minimized = self.meta.create_metric(name).to_minimize(scores)
+        order = order_by_criticality(minimized, list(impacts.values()))
         ids = list(impacts)
         return [ids[k] for k in order]
 
@@ -1074,7 +1079,8 @@ class StudyFile:
         -------
         DataFrame
             One row per scenario, indexed by its id. The columns are ``round``, ``state``, ``audit`` if there are
-            audits, and one for each parameter and metric. If scenarios were run several times, there are also ``lowest
+            audits, and one for each parameter and metric. If a weighted sum was searched, ``objective`` is its score,
+            which is critical where it is low. If scenarios were run several times, there are also ``lowest
             …`` and ``highest …`` for each metric, ``critical runs`` as in `critical_run_rates`, and ``runs`` (the
             number of runs that did not fail) if it may vary. If there are several other entities, ``other by …`` names
             the entity that the score of a metric is measured against. ``collision`` names the entity that the ego
@@ -1089,6 +1095,9 @@ class StudyFile:
                 scores[name] = self.scores(name)
                 if (spread := self.score_range(name)) is not None:
                     scores[f"lowest {name}"], scores[f"highest {name}"] = spread.T
+            if self.meta.weights:
+                with suppress(InputError):  # The package of a metric may be missing.
+                    scores["objective"] = self.objective.minimized_scores(self)
             with suppress(InputError):  # The package of a metric may be missing.
                 if (runs := self.critical_run_rates()) is not None:
                     scores |= dict(zip(_CRITICAL_RUN_COLUMNS, runs.T, strict=True))

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from dataclasses import replace
 
-from cornercase._common.errors import InputError, NoticeWarning
+from cornercase._common.errors import InputError
+from cornercase._common.io.support_table import issue_notice_warning
 from cornercase.drivers import Driver
 from cornercase.drivers._parameters import check_parameters
 from cornercase.drivers._resolve import check_drivers, driver_by_name
@@ -35,7 +35,7 @@ def with_values_of_drivers(
             check_driver_parameters(simulator, scenario.scenario, drivers, [scenario.driver_values])
         scenarios.append(scenario)
     for notice in notices:
-        warnings.warn(notice, NoticeWarning, stacklevel=3)
+        issue_notice_warning(notice)
     return replace(suite, scenarios=tuple(scenarios))
 
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Container, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
-from cornercase._common.errors import InputError, NoticeWarning
+from cornercase._common.errors import InputError
+from cornercase._common.io.support_table import issue_notice_warning
 from cornercase._common.text.sanitize import escape_control_characters
 from cornercase._common.validation import check_path as path_argument
 from cornercase.reduction._set_folder import MANIFEST
@@ -52,7 +52,7 @@ def _suite_from_files(folder: Path, files: Sequence[Path]) -> SuiteContents:
             errors[file] = error
             scenarios.append(ScenarioFile(file))
     if ignored:
-        warnings.warn(f"not run, because they are not scenarios: {', '.join(ignored)}", NoticeWarning, stacklevel=3)
+        issue_notice_warning(f"not run, because they are not scenarios: {', '.join(ignored)}")
     if not scenarios:
         raise InputError(f"{folder}: has no scenarios; name a folder with .xosc files, or with a manifest.json.")
     if len(errors) == len(scenarios):

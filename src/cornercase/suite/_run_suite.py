@@ -353,10 +353,10 @@ def _resolve_drivers(suite: SuiteContents, requested: Mapping[str, DriverLike] |
     drivers = {entity: resolve_driver(driver) for entity, driver in check_drivers(requested).items()}
     for entity, command in suite.custom_drivers.items():
         if entity not in drivers:
-            name = escape_control_characters(command) or "an object that Python code made"
+            name = escape_control_characters(command)
             raise InputError(
-                f"`drivers`: {suite.path} names the driver {name} for {entity}, but code named in a file is not run;"
-                f" give the driver, for example {entity}={escape_control_characters(command) or 'normal'}."
+                f"`drivers`: {suite.path} names the driver {name or 'an object that Python code made'} for {entity},"
+                f" but code named in a file is not run; give the driver, as in {{{entity!r}: {name or 'normal'!r}}}."
             )
     return drivers
 

@@ -6,6 +6,8 @@ import csv
 import sys
 import warnings
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from enum import StrEnum
 from importlib import resources
@@ -27,6 +29,8 @@ from cornercase._common.text.source_lines import line_number
 # Further lines and parts are counted, not listed.
 _MAX_LINES: Final = 5
 _MAX_NAMES: Final = 8
+
+_issued_notices: ContextVar[set[str] | None] = ContextVar("issued_notices", default=None)
 
 UNKNOWN_REASON: Final = "is not known here"
 """Reason in notices about parts that the support table does not list."""
@@ -184,10 +188,32 @@ def issue_notice_warning(sentence: str) -> None:
     sentence : str
         Without a full stop.
     """
+    issued = _issued_notices.get()
+    if issued is not None:
+        # What differs between runs follows the semicolon.
+        subject = sentence.partition("; ")[0]
+        if subject in issued:
+            return
+        issued.add(subject)
     level, frame = 1, sys._getframe()
-    while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith("cornercase."):
+    while frame.f_back is not None and _is_inside(frame.f_globals.get("__name__", "")):
         level, frame = level + 1, frame.f_back
     warnings.warn(sentence, NoticeWarning, stacklevel=level)
+
+
+def _is_inside(module: str) -> bool:
+    """Whether a frame of a module is between the user's line and a notice; decorators have frames in contextlib."""
+    return module.startswith("cornercase.") or module == "contextlib"
+
+
+@contextmanager
+def issue_each_notice_once(issued: set[str]) -> Iterator[None]:
+    """Within the block, leave out notices that are in `issued`, and add those that are not."""
+    token = _issued_notices.set(issued)
+    try:
+        yield
+    finally:
+        _issued_notices.reset(token)
 
 
 class SupportTable:

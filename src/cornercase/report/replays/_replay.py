@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -10,8 +9,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from cornercase._common import validation
-from cornercase._common.errors import InputError, NoticeWarning
+from cornercase._common.errors import InputError
 from cornercase._common.io.files import atomic_write, check_output_differs_from_source
+from cornercase._common.io.support_table import issue_notice_warning
 from cornercase._common.progress import ProgressBar
 from cornercase._common.typing import FloatArray
 from cornercase.report._road_drawing import is_missing_map
@@ -115,7 +115,7 @@ def replay(
         data = read_replay_data(opened, ids, scenario)
     if data.road_missing_reason and (ending != ".html" or is_missing_map(data.road_missing_reason)):
         # The page itself explains a missing road; a missing map can be fixed with an option, so warn at once.
-        warnings.warn(data.road_missing_reason.removesuffix("."), NoticeWarning, stacklevel=2)
+        issue_notice_warning(data.road_missing_reason.removesuffix("."))
     with atomic_write(path) as temporary:
         if ending == ".html":
             from cornercase.report.replays._replay_page import render_replay_page

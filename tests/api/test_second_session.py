@@ -1,0 +1,184 @@
+"""A study that is opened again: what the file keeps, what it only names, and how the user gives that again."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import cornercase as cc
+from cornercase.recordings import Recording
+from cornercase.simulators import Builtin
+from cornercase.study import StudyFile
+from helpers.command_line import SPACE, X
+
+pytestmark = pytest.mark.filterwarnings("ignore::cornercase.NoticeWarning")
+
+
+class OwnDriver(cc.SystemUnderTest):
+    """Drives on as it is."""
+
+    def step(self, view: Any, dt: float) -> cc.Control:
+        return cc.Control(acceleration=0.0)
+
+
+class OwnMetric(cc.Metric):
+    """Distance, under another name."""
+
+    name = "own-distance"
+    unit = "m"
+    lower_is_critical = True
+    cap = 100.0
+
+    def course(self, recording: Recording, ego: str, other: str) -> Any:
+        return cc.metrics.METRICS.create("distance").course(recording, ego, other)
+
+
+@pytest.fixture(scope="module")
+def problem() -> cc.Problem:
+    return cc.Problem(cc.LogicalScenario.read(X, SPACE), "Ego", "Pedestrian", ["wttc"], 0.2)
+
+
+@pytest.fixture(scope="module")
+def own(problem, tmp_path_factory) -> Path:
+    """A study with a driver of the user's own."""
+    path: Path = tmp_path_factory.mktemp("own") / "own.db"
+    cc.Study.create(path, problem, Builtin(drivers={"Ego": OwnDriver()})).explore("sobol", budget=4)
+    return path
+
+
+@pytest.fixture
+def named(own, tmp_path) -> Callable[[str], cc.Study]:
+    """Makes a study without scenarios that names a simulator."""
+
+    def make(simulator: str) -> cc.Study:
+        with StudyFile.open(own) as file:
+            meta = replace(file.meta, simulator=simulator, settings={})
+        StudyFile.create(tmp_path / "named.db", meta).close()
+        return cc.Study.open(tmp_path / "named.db")
+
+    return make
+
+
+def test_the_simulator_of_an_opened_study_makes_the_same_runs_in_another_one(problem, tmp_path):
+    driven = Builtin(drivers={"Ego": "cautious", "C": "normal:horizon=4"}, time_step=0.1, duration=20.0)
+    first = cc.Study.create(tmp_path / "first.db", problem, driven, seed=1)
+    assert "in Builtin(drivers={'Ego': 'cautious', " in repr(first)
+    first.explore("sobol", budget=4)
+    simulator = cc.Study.open(tmp_path / "first.db").simulator
+    assert simulator == driven
+    second = cc.Study.create(tmp_path / "second.db", problem, simulator, seed=1)
+    second.explore("sobol", budget=4)
+    assert second.table().equals(first.table())
+
+
+def test_what_a_study_only_names_is_asked_for(own, problem, tmp_path):
+    study = cc.Study.open(own)
+    for call in (lambda: study.simulator, lambda: study.explore(budget=6), lambda: study.estimate(tmp_path / "e.db")):
+        with pytest.raises(
+            cc.InputError, match=r"OwnDriver.*not run, so give it again in the `simulator` of Study\.open"
+        ):
+            call()
+    again = cc.Study.open(own, Builtin(drivers={"Ego": OwnDriver()}))
+    assert again.explore(budget=6).done == 6
+    cc.explore(
+        problem.scenario, tmp_path / "named.db", ego="Ego", other="Pedestrian", metrics="wttc", budget=2,
+        optimizer="sobol", drivers={"Ego": f"{__name__}:OwnDriver"},
+    )  # fmt: skip
+    with pytest.raises(cc.InputError, match=r"Study\.open, as in Builtin\(drivers=\{'Ego': '.*:OwnDriver'\}\)\.$"):
+        _ = cc.Study.open(tmp_path / "named.db").simulator
+
+
+@pytest.mark.parametrize(
+    ("simulator", "says"),
+    [
+        ("mine", "with the simulator 'mine', which is not installed here, or which Python code made"),
+        ("my_module:Mine", "with the simulator 'my_module:Mine', which is not installed here"),
+        ("esmini:library=evil.so", "with 'esmini:library=evil.so'; options that are texts could name programs"),
+        ("imported", "contains imported recordings"),
+    ],
+)
+def test_a_simulator_that_only_code_can_make_is_asked_for(simulator, says, named):
+    with pytest.raises(cc.InputError) as refused:
+        _ = named(simulator).simulator
+    assert says in str(refused.value)
+    assert ("give it again as in Study.open(…, simulator=…)" in str(refused.value)) == (simulator != "imported")
+
+
+def test_numbers_among_the_options_of_a_simulator_are_kept(named):
+    assert named("esmini:seed=3").simulator == cc.simulators.Esmini(seed=3)
+
+
+def test_an_own_metric_is_given_again_in_a_problem(problem, tmp_path):
+    path = tmp_path / "metric.db"
+    own_problem = cc.Problem(problem.scenario, "Ego", "Pedestrian", [OwnMetric()], 1.0)
+    cc.Study.create(path, own_problem).explore("sobol", budget=2)
+    with pytest.raises(
+        cc.InputError, match=r"as in Study\.open_or_create\(path, Problem\(…, metrics=\[OwnMetric\(\)\]\)"
+    ):
+        cc.Study.open(path).explore(budget=4)
+    assert cc.Study.open_or_create(path, own_problem).explore(budget=4).done == 4
+
+
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [
+        (cc.optimizers.Optuna("tpe"), "optuna:sampler=tpe"),
+        ("level-set:filling=0.2", cc.optimizers.LevelSet()),
+        ("level-set", "level-set:filling=0.2"),
+    ],
+)
+def test_an_optimizer_is_the_same_however_it_is_written(first, second, problem, tmp_path):
+    study = cc.Study.create(tmp_path / "study.db", problem)
+    study.explore(first, budget=2)
+    stored = study.optimizer
+    assert study.explore(second, budget=3).done == 3
+    assert study.optimizer == stored
+    with pytest.raises(cc.InputError, match="another optimizer"):
+        study.explore("level-set:filling=0.3", budget=4)
+
+
+def test_a_suite_names_drivers_as_python_takes_them(own, tmp_path):
+    study = cc.Study.open(own)
+    study.cluster("interaction")
+    study.reduce(tmp_path / "reduced", size=2, by="interaction")
+    with pytest.raises(cc.InputError, match=r"give the driver, as in \{'Ego': 'normal'\}\.$"):
+        cc.Suite.open(tmp_path / "reduced").run()
+    assert cc.Suite.open(tmp_path / "reduced").run(tmp_path / "run.db", drivers={"Ego": OwnDriver()}).scenarios
+
+
+def test_options_that_all_simulators_have_may_follow_the_colon(problem, tmp_path):
+    study = cc.Study.create(tmp_path / "study.db", problem, "builtin:time_step=0.1")
+    study.explore("sobol", budget=2)
+    assert np.diff(study.recording(1).time)[0] == pytest.approx(0.1)
+    assert cc.Study.open(study.path).simulator == Builtin(time_step=0.1)
+    with pytest.raises(cc.InputError, match="'builtin' takes 'drivers' on its own, not after the colon"):
+        cc.Study.create(tmp_path / "other.db", problem, "builtin:drivers=normal")
+    with pytest.raises(cc.InputError, match="`time_step` 7"):
+        cc.Study.create(tmp_path / "other.db", problem, "builtin:time_step=7")
+
+
+@pytest.mark.filterwarnings("always::cornercase.NoticeWarning")
+def test_notices_name_the_line_of_the_user_and_come_once(problem, tmp_path):
+    study = cc.Study.create(tmp_path / "study.db", problem, Builtin(duration=2.0))
+    texts = []
+    for budget in (4, 8, 12):
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            study.explore("sobol", budget=budget)
+        assert {notice.filename for notice in caught} <= {__file__}
+        texts += [str(notice.message) for notice in caught]
+    assert texts
+    assert len(texts) == len(set(texts))
+    study.cluster("interaction")
+    with pytest.warns(cc.NoticeWarning, match="were asked for") as of_reduce:
+        study.reduce(tmp_path / "reduced", size=40, by="interaction")
+    assert {notice.filename for notice in of_reduce} == {__file__}
+    with pytest.warns(cc.NoticeWarning) as of_run:
+        cc.Suite.open(tmp_path / "reduced").run()
+    assert {notice.filename for notice in of_run} == {__file__}
