@@ -23,8 +23,8 @@ MAX_DIMENSIONS: Final = 48
 
 # Axes with a variance below this share of the largest one are rounding errors.
 _AXIS_TOLERANCE: Final = 1e-9
-# One of the 32 nearest scenarios is nearly always in a random choice of a tenth.
-_N_NEAREST: Final = 32
+# One of the 64 nearest scenarios is nearly always in a random choice of a tenth.
+_N_NEAREST: Final = 64
 _SPARSE_SHARE: Final = 0.05
 _N_WALKS: Final = 8
 
@@ -133,19 +133,13 @@ class EmbeddedDistances:
         columns = np.arange(len(self._columns)) if columns is None else columns
         if row_choices.shape[1] < _SPARSE_SHARE * n or n <= 2 * _N_NEAREST:
             return np.array([self._squares_to_nearest(choice, columns) for choice in row_choices])
-        is_chosen = np.zeros((len(row_choices), n), dtype=np.bool_)
-        np.put_along_axis(is_chosen, row_choices, True, axis=1)
         distances = np.empty((len(row_choices), len(columns)))
-        fill_nearest_distances(self._rows, self._columns[columns], self._nearest_rows[columns], is_chosen, distances)
-        for draw in np.flatnonzero(np.isinf(distances).any(axis=1)).tolist():
-            # None of the nearest rows of these columns is in the choice.
-            left = np.flatnonzero(np.isinf(distances[draw]))
-            distances[draw, left] = self._squares_to_nearest(row_choices[draw], columns[left])
+        fill_nearest_distances(self._rows, self._columns[columns], self._nearest_rows[columns], row_choices, distances)
         return distances
 
     @cached_property
     def _nearest_rows(self) -> IntArray:
-        """Indices of the 32 rows nearest to each column, the nearest first, shape (m, 32)."""
+        """Indices of the 64 rows nearest to each column, the nearest first, shape (m, 64)."""
         columns, nearest = pad_axes(self._columns), np.empty((len(self._columns), _N_NEAREST), dtype=np.int64)
         fill_nearest_rows(columns.reshape(len(columns), -1, AXES_PER_STAGE), make_cells(pad_axes(self._rows)), nearest)
         return nearest

@@ -11,21 +11,41 @@ from cornercase._common.numba.kernel import kernel
 
 
 @kernel(error_model="numpy")
-def fill_nearest_distances(rows, columns, nearest_rows, is_chosen, result):
+def fill_nearest_distances(rows, columns, nearest_rows, choices, result):
     """Write the squared distance of each column to the nearest row in each choice to `result`, shape (draws, m).
 
     `rows`, shape (n, p), and `columns`, shape (m, p), are coordinates. `nearest_rows`, shape (m, k), are the nearest
-    rows of each column, the nearest first. `is_chosen`, shape (draws, n), marks the rows in each choice. The result is
-    infinite if none of the nearest rows is in the choice.
+    rows of each column, the nearest first. `choices`, shape (draws, size), are indices of rows.
     """
-    for draw in range(len(is_chosen)):
-        for j in range(len(nearest_rows)):
-            result[draw, j] = np.inf
+    is_chosen = np.zeros(len(rows), dtype=np.bool_)
+    for draw in range(len(choices)):
+        for i in choices[draw]:
+            is_chosen[i] = True
+        for j in range(len(columns)):
+            nearest = -1
             for i in nearest_rows[j]:
-                if is_chosen[draw, i]:
-                    total = 0.0
-                    for axis in range(rows.shape[1]):
-                        difference = rows[i, axis] - columns[j, axis]
-                        total += difference * difference
-                    result[draw, j] = total
+                if is_chosen[i]:
+                    nearest = i
                     break
+            if nearest >= 0:
+                result[draw, j] = _squared_distance(rows[nearest], columns[j], np.inf)
+                continue
+            # None of the nearest rows is in the choice, which is rare.
+            smallest = np.inf
+            for i in choices[draw]:
+                smallest = min(smallest, _squared_distance(rows[i], columns[j], smallest))
+            result[draw, j] = smallest
+        for i in choices[draw]:
+            is_chosen[i] = False
+
+
+@kernel(error_model="numpy", _nrt=False)
+def _squared_distance(row, column, bound):
+    """Return the squared distance of two points; if it is at least `bound`, any number of at least `bound`."""
+    total = 0.0
+    for axis in range(len(row)):
+        difference = row[axis] - column[axis]
+        total += difference * difference
+        if total >= bound:
+            break
+    return total
