@@ -901,6 +901,8 @@ class Study(PathLike[str]):
     def summary(self, *, threshold: float | None = None) -> Summary:
         """Summarize what was run and what was found, with all stored clusters and the reduced set.
 
+        ``print(study.summary())`` says it in the sentences of ``cornercase show``.
+
         Parameters
         ----------
         threshold : float, optional

@@ -6,7 +6,7 @@ from ._settings_page import write_settings_page as write_settings_page
 from ._summary import FailureSummary as FailureSummary
 from ._summary import MetricSummary as MetricSummary
 from ._summary import Summary as Summary
-from ._summary import summarize as summarize
+from ._summarize import summarize as summarize
 from .cards._test_cards import write_test_cards as write_test_cards
 from .comparison._comparison_page import write_comparison as write_comparison
 from .figures._paper_figures import PAPER_SCENARIOS as PAPER_SCENARIOS
