@@ -205,6 +205,12 @@ def test_messages_name_the_verbs_and_their_arguments(problem, tmp_path):
         study.replay(cast("Any", "1"), tmp_path / "run.html")
     with pytest.raises(cc.InputError, match="no such study; make one with `Study"):
         cc.Study.open(tmp_path / "missing.db")
+    with pytest.raises(cc.InputError, match="no such study; make one with `Study"):
+        cc.compare(tmp_path / "missing.db", study)
+    with pytest.raises(
+        cc.InputError, match=r"^`by` ttc: .*study\.db was explored without this metric; it has wttc, dist"
+    ):
+        study.cluster("ttc")
 
 
 def test_functions_take_a_study(explored, tmp_path):

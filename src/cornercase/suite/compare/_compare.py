@@ -108,7 +108,7 @@ def compare(
     >>> cc.compare("missing_a.db", "missing_b.db")
     Traceback (most recent call last):
         ...
-    cornercase._common.errors.InputError: missing_a.db: there is no such study; make one with `explore`.
+    cornercase._common.errors.InputError: missing_a.db: there is no such study; make one with `Study.create`.
     """
     with (
         open_study(old, readonly=True, critical=critical) as before,
