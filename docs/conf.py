@@ -95,10 +95,12 @@ def hide_edit_link(app: Sphinx, pagename: str, templatename: str, context: dict[
 
 def setup(app: Sphinx) -> None:
     """Write the pages that are made from the program before any page is read."""
-    from generated_pages import write_commands, write_names, write_options
+    from generated_pages import add_registration, write_commands, write_names, write_options
 
     write_commands(HERE / "reference" / "commands.md")
     write_options(HERE / "reference" / "options.md")
     write_names(HERE / "reference" / "api.rst", HERE / "reference" / "api")
+    # Before numpydoc reads the sections.
+    app.connect("autodoc-process-docstring", add_registration, priority=400)
     # After the theme's own.
     app.connect("html-page-context", hide_edit_link, priority=900)

@@ -11,12 +11,17 @@ import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from types import GenericAlias
+from typing import Any
 
 from typer.main import get_command
 from typer.testing import CliRunner
 
+from cornercase._common.registry import Registry
 from cornercase.cli import app
 from cornercase.exploration._explore_options import OPTIONS
+from cornercase.metrics import METRICS, Metric
+from cornercase.optimizers import OPTIMIZERS
+from cornercase.simulators import SIMULATORS
 
 DOCS = Path(__file__).parent
 
@@ -142,6 +147,51 @@ def write_names(page: Path, folder: Path) -> None:
         module = importlib.import_module(name)
         text = f"{name}\n{'=' * len(name)}\n\n{inspect.getdoc(module)}\n\n{_table(name, dir(module), 'names')}"
         (folder / f"{room}.rst").write_text(text, encoding="utf-8")
+
+
+def describe_registration(cls: type) -> str:
+    """Say which texts name a class in arguments and on the command line, and from which score a metric is critical.
+
+    Parameters
+    ----------
+    cls : type
+        Any class.
+
+    Returns
+    -------
+    str
+        Empty if the class is not registered.
+    """
+    registries: tuple[Registry[Any], ...] = (METRICS, OPTIMIZERS, SIMULATORS)
+    names = [name for registry in registries for name in registry.names() if registry.get_class(name) is cls]
+    if not names:
+        return ""
+    sentence = f"As text: {', '.join(f'``{name}``' for name in names)}."
+    if not issubclass(cls, Metric):
+        return sentence
+    if cls.default_threshold is None:
+        return f"{sentence} Without a default threshold."
+    # Of a formula, options decide on the unit.
+    unit = f" {cls.unit}" if isinstance(cls.unit, str) and cls.unit != "1" else ""
+    return f"{sentence} Default threshold: {cls.default_threshold:g}{unit}."
+
+
+def add_registration(_app: Any, kind: str, _name: str, shown: Any, _options: Any, lines: list[str]) -> None:
+    """Add what `describe_registration` says to the docstring of a class, below its first paragraph; for Sphinx.
+
+    Parameters
+    ----------
+    kind : str
+        What is documented: ``"class"``.
+    shown : object
+        The class.
+    lines : list of str
+        Its docstring; is changed.
+    """
+    sentence = describe_registration(shown) if kind == "class" else ""
+    if sentence:
+        end = lines.index("") if "" in lines else len(lines)
+        lines[end:end] = ["", sentence]
 
 
 def _first_lines() -> str:

@@ -13,8 +13,17 @@ if (
 import lazy_loader as lazy
 
 from cornercase._common.current_folder import ignore_settings_of_current_folder as _take_no_settings
+from cornercase._common.unknown_names import unknown_attribute as _unknown_attribute
 from cornercase._common.version import __version__ as __version__
 
 _take_no_settings()
 
-__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)
+_get_public_name, __dir__, __all__ = lazy.attach_stub(__name__, __file__)
+
+
+def __getattr__(name: str) -> object:
+    """Import a public name when it is first used."""
+    try:
+        return _get_public_name(name)
+    except AttributeError:
+        raise _unknown_attribute("module 'cornercase'", name) from None

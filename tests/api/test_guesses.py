@@ -307,3 +307,35 @@ def test_what_looks_like_a_call_evaluates(driven, many, tmp_path):
     from cornercase.stop import missed
 
     assert missed(0.05) == cc.stop.missed(0.05)
+
+
+def test_words_of_other_libraries_point_to_those_of_this_one(problem, many):
+    study: Any = many
+    logical: Any = problem.scenario
+    calls: dict[str, Any] = {
+        "did you mean 'budget'?": lambda: study.explore(n_trials=5),
+        "did you mean 'optimizer'?": lambda: study.explore(sampler="tpe"),
+        "give `runs=Runs(workers=…)`.": lambda: study.explore(n_jobs=2),
+        "give `stop=stop.seconds(…)`.": lambda: study.explore(timeout=60),
+        "each metric says whether low or high scores are critical.": lambda: loose.Problem(direction="minimize"),
+        "give `simulator=Builtin(drivers={…})`.": lambda: loose.Study.create("s.db", problem, drivers={}),
+        "did you mean 'drivers'?": lambda: loose.simulators.Builtin(driver={}),
+        "did you mean 'filling'?": lambda: loose.optimizers.LevelSet(fill=0.1),
+        "did you mean 'workers'?": lambda: loose.Runs(n_jobs=2),
+        "did you mean 'require'?": lambda: loose.Suite.run(required=[]),
+        "did you mean 'ego'?": lambda: loose.Suite.open("r", egos="Ego"),
+        "it takes none.": lambda: study.sensitivity(metric="wttc"),
+        "did you mean 'step'?": lambda: logical.vary("ego_start", 1.0, 2.0, steps=1.0),
+        "did you mean 'space'?": lambda: loose.LogicalScenario.read("x.xosc", spaces="y"),
+    }
+    for hint, call in calls.items():
+        with pytest.raises(TypeError) as refused:
+            call()
+        assert str(refused.value).endswith(hint)
+    for name in ("optimize", "best_params", "best_trials", "trials"):
+        with pytest.raises(AttributeError, match=f"^'Study' object has no attribute '{name}'; "):
+            getattr(study, name)
+    with pytest.raises(AttributeError, match=r"has no attribute 'create_study'; use `Study\.create`"):
+        _ = loose.create_study
+    with pytest.raises(AttributeError, match=r"has no attribute 'nothing'$"):
+        _ = study.nothing

@@ -41,9 +41,16 @@ def test_it_says_what_is_critical(scenario, arguments, criterion):
         ({"metrics": ["wtc"]}, "did you mean 'wttc'"),
         ({"metrics": []}, "metric"),
         ({"threshold": "low"}, "`threshold` 'low'"),
+        (
+            {"threshold": "200 ms"},
+            "^`threshold` '200 ms': give a number in s, as wttc has; only a condition takes units, as in `condition` "
+            r'"wttc < 200 ms"\.$',
+        ),
         ({"condition": "collision", "threshold": 1.0}, "`condition` defines .* leave `threshold` out"),
         ({"metrics": ["wttc", "distance"], "pareto": True, "threshold": 1.0}, "a Pareto front has no threshold"),
-        ({"weights": {"distance": 1.0}}, "distance"),
+        ({"weights": {"distance": 1.0}}, "^`weights` distance: `metrics` are wttc; name it there, too"),
+        ({"weights": {"wtc": 1.0}}, "^`weights` wtc: is not one of the metrics; did you mean 'wttc'"),
+        ({"condition": "gap < 1"}, "a metric of your own is one once METRICS.register has named it; known are: "),
         ({"scenario": "x.xosc"}, "give a scenario that `LogicalScenario.read` has read"),
         ({"metrics": cc.metrics.Ttc}, "`metrics`: Ttc is a class; give an object of it, as in Ttc"),
         (
@@ -56,6 +63,26 @@ def test_it_refuses_what_cannot_be_searched(scenario, arguments, message):
     given = {"scenario": scenario, "ego": "Ego", "other": "Pedestrian", "metrics": ["wttc"]} | arguments
     with pytest.raises(cc.InputError, match=message):
         cc.Problem(**given)
+
+
+@pytest.mark.parametrize(
+    ("metric", "threshold", "words"),
+    [
+        ("wttc", 200.0, "wttc are from 0 to 10 s, so each scenario is critical"),
+        ("wttc", -0.2, "wttc are from 0 to 10 s, so no scenario is critical"),
+        ("drac", 25.0, "drac are from 0 to 20 m/s², so no scenario is critical"),
+        ("drac", -1.0, "drac are from 0 to 20 m/s², so each scenario is critical"),
+        ("thw", 10.0, "thw are at most 10 s, so each scenario is critical"),
+    ],
+)
+def test_a_threshold_that_no_score_or_each_one_passes_is_noticed(scenario, metric, threshold, words):
+    with pytest.warns(cc.NoticeWarning, match=f"^`threshold` {threshold:g}: scores by {words}$"):
+        cc.Problem(scenario, "Ego", "Pedestrian", [metric], threshold=threshold)
+
+
+def test_a_threshold_that_some_scores_pass_needs_no_notice(scenario):
+    for metric, threshold in (("wttc", 0.0), ("pet:signed=true", -0.2), ("wttc:severity=true", -0.2), ("drac", 20.0)):
+        cc.Problem(scenario, "Ego", "Pedestrian", [metric], threshold=threshold)
 
 
 def test_all_others_get_their_names(scenario):

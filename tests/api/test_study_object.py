@@ -19,7 +19,7 @@ from cornercase.metrics import METRICS
 from cornercase.recordings import Recording
 from cornercase.simulators import Builtin
 from cornercase.study import StudyFile
-from helpers.command_line import SPACE, X
+from helpers.command_line import SPACE, X, cornercase
 
 pytestmark = pytest.mark.filterwarnings("ignore::cornercase.NoticeWarning")
 
@@ -247,6 +247,12 @@ def test_messages_name_the_verbs_and_their_arguments(problem, tmp_path):
         study.replay(cast("Any", "1"), tmp_path / "run.html")
     with pytest.raises(cc.InputError, match="no such study; make one with `Study"):
         cc.Study.open(tmp_path / "missing.db")
+    with pytest.raises(cc.InputError, match="no such study; make one with `Study"):
+        cc.compare(tmp_path / "missing.db", study)
+    with pytest.raises(
+        cc.InputError, match=r"^`by` ttc: .*study\.db was explored without this metric; it has wttc, dist"
+    ):
+        study.cluster("ttc")
 
 
 def test_functions_take_a_study(explored, tmp_path):
@@ -320,3 +326,15 @@ def test_a_study_can_be_used_as_a_context(explored):
 
 class Own(SimpleDriver):
     """A driver that is no part of cornercase."""
+
+
+def test_a_printed_summary_says_what_the_command_says(explored, tmp_path):
+    summary = explored.summary()
+    shown = cornercase("show", explored.path).stdout
+    assert "Does it collide?" in str(summary)
+    assert str(summary).split() == shown.split()
+    assert "Does it collide?" in summary._repr_html_()
+    assert str(explored.summary(threshold=0.5)).split() != shown.split()
+    copy = cc.Study.open(shutil.copy(explored.path, tmp_path / "copy.db")).summary()
+    (tmp_path / "copy.db").unlink()
+    assert str(copy) == repr(copy)

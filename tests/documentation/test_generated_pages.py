@@ -49,3 +49,23 @@ def test_the_page_of_commands_has_each_with_its_help(pages, tmp_path):
     # Each leads to a page that says what to do with it.
     assert text.count("\nGuide: [") == text.count("\n## ")
     assert all((DOCS / guide).exists() for guide in pages.GUIDES.values())
+
+
+def test_the_page_of_each_metric_and_optimizer_says_its_name_as_text(pages):
+    from cornercase import metrics, optimizers, simulators
+
+    described = {
+        name: pages.describe_registration(getattr(room, name))
+        for room, base in ((metrics, metrics.Metric), (optimizers, optimizers.Optimizer))
+        for name in dir(room)
+        if inspect.isclass(shown := getattr(room, name)) and issubclass(shown, base) and shown is not base
+    }
+    assert [name for name, text in described.items() if not text.startswith("As text: ``")] == []
+    assert described["Wttc"] == "As text: ``wttc``. Default threshold: 1 s."
+    assert described["Drac"] == "As text: ``drac``. Without a default threshold."
+    assert described["LevelSet"] == "As text: ``level-set``."
+    assert pages.describe_registration(simulators.Builtin) == "As text: ``builtin``."
+    assert pages.describe_registration(metrics.Metric) == ""
+    lines = ["First line.", "", "Parameters"]
+    pages.add_registration(None, "class", "", metrics.Wttc, None, lines)
+    assert lines == ["First line.", "", described["Wttc"], "", "Parameters"]

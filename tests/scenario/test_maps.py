@@ -188,7 +188,7 @@ def test_43_7_what_is_written_holds_the_map_and_a_study_says_that_it_needs_it(tm
         logical = LogicalScenario.read(path, None, ["speed=5:30"])
         explore(
             logical, study, ego="Ego", other="B", metrics=["distance"], optimizer="grid", budget=8, duration=3.0,
-            critical=-100.0,
+            critical=0.0,
         )  # fmt: skip
     with StudyFile.open(study, readonly=True) as opened:
         with pytest.raises(

@@ -7,6 +7,7 @@ import sqlite3
 import sys
 from contextlib import closing
 from dataclasses import replace
+from typing import Any, cast
 
 import numpy as np
 import pandas as pd
@@ -73,9 +74,13 @@ def test_what_is_put_in_comes_out(study):
         assert same_recording(reader.recording(1), recording())
         np.testing.assert_array_equal(reader.course(1, "distance"), courses()["distance"][0])
         assert reader.scores("wttc").tolist() == [0.5]
-        for absent in (2, 3, 99):
+        for absent in (2, 3):
             with pytest.raises(InputError, match=f"scenario {absent} was not run"):
                 reader.recording(absent)
+        with pytest.raises(InputError, match=r"has no scenario 99; its scenarios are 1 to 3\.$"):
+            reader.recording(99)
+        with pytest.raises(InputError, match=r"^`scenario` 'first': give the id of a scenario, a whole number; its sc"):
+            reader.course(cast("Any", "first"), "distance")
         with pytest.raises(InputError, match="no course of the metric 'pet'"):
             reader.scores("pet")
 
@@ -406,7 +411,7 @@ def test_a_scenario_is_found_by_the_number_in_the_table(study):
 @pytest.mark.parametrize("number", [1.0, "1", None, True, -1, 2**70])
 def test_what_is_no_id_of_a_scenario_is_said(study, number):
     for ask in (study.recording, lambda one: study.course(one, "wttc")):
-        with pytest.raises(InputError, match=r"`scenario` .*: give a whole number"):
+        with pytest.raises(InputError, match=r"`scenario` .*: give the id of a scenario, a whole number"):
             ask(number)
 
 

@@ -292,6 +292,38 @@ def test_a_suite_is_compared_with_the_study_that_it_was_reduced_from_alone(tmp_p
             compared(explored, other)
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ({"driver_in_file": "cautious"}, {"settings": {"drivers": {"Ego": "cautious"}}}, ()),
+        (
+            {"driver_in_file": "cautious"},
+            {"settings": {"drivers": {"Ego": "normal"}}},
+            ("drivers Ego: cautious → normal",),
+        ),
+        ({"driver_in_file": ""}, {"driver_in_file": "normal"}, ("drivers Ego: its storyboard → normal",)),
+        (
+            {"settings": {"drivers": {"Ego": dict(BehaviourDriver(NORMAL).settings)}}},
+            {"driver_in_file": ""},
+            ("drivers Ego: normal → its storyboard",),
+        ),
+        # Of an imported recording nobody knows who drove.
+        ({}, {"settings": {"drivers": {"Ego": "normal"}}}, ("drivers Ego: that of the scenario file → normal",)),
+        ({}, {"driver_in_file": ""}, ()),
+    ],
+)
+def test_the_driver_in_the_scenario_file_is_a_driver_like_another(tmp_path, old, new, words):
+    found = compared(written(tmp_path / "old.db", GAPS, **old), written(tmp_path / "new.db", GAPS, **new))
+    assert found.differences == words
+
+
+def test_findings_show_themselves_in_words(tmp_path):
+    found = compared(written(tmp_path / "old.db", GAPS), written(tmp_path / "new.db", GAPS, hits={3}))
+    (finding,) = found.worse
+    assert str(finding) == finding.text == "1 new collision (4)"
+    assert repr(found.worse) == "(<Finding: worse, 1 new collision (4)>,)"
+
+
 def test_a_zero_with_another_sign_is_not_the_same_bytes_and_no_change(tmp_path):
     old, zero = recording(2.0), recording(2.0)
     new = replace(zero, x=np.where(zero.x == 0.0, -0.0, zero.x))

@@ -311,7 +311,10 @@ def test_every_state_is_valid_junit(tmp_path):
     known = ("scenario", "parameter v", "parameter text", "score ttc", "why", "simulator", "requirement 1")
     assert [facts[name] for name in known] == ["1", "0.1", "<&>", "1.5", "a < b", "builtin", "ttc > 1"]
     assert not result.has_passed()
-    assert SuiteResult(tmp_path, tmp_path, "builtin", (), scenarios[::2]).has_passed()
+    assert not result
+    passed = SuiteResult(tmp_path, tmp_path, "builtin", (), scenarios[::2])
+    assert passed.has_passed()
+    assert passed
     assert not SuiteResult(tmp_path, tmp_path, "builtin", (), scenarios[::2]).has_passed(strict=True)
 
 

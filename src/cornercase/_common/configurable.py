@@ -11,6 +11,7 @@ from typing import Any, ClassVar, Final, Self
 
 from cornercase._common.errors import InputError
 from cornercase._common.plugin_errors import unwrap_factory
+from cornercase._common.unknown_names import refuse_unknown
 
 # Where an object keeps the options that it was given.
 _GIVEN_OPTIONS: Final = "_given_options"
@@ -186,11 +187,18 @@ def with_numbers(configured: Any, numbers: Mapping[str, float]) -> Any:
 
 
 def _remember_options(constructor: Callable[..., None]) -> Callable[..., None]:
-    """Wrap a constructor so that it stores its arguments in the object, and then the name that contains them."""
+    """Wrap a constructor so that it stores its arguments in the object, and then the name that contains them.
+
+    The error of an unknown argument says which one is meant.
+    """
+    parameters = signature(constructor).parameters
+    takes_all = any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters.values())
 
     @wraps(constructor)
     def construct(self: Configurable, *positional: Any, **options: Any) -> None:
         cls = type(self)
+        if not takes_all and not options.keys() <= parameters.keys():
+            refuse_unknown(cls.__name__, declared_options(cls), options)
         # A constructor may call that of its base class, which is wrapped too.
         if _GIVEN_OPTIONS in vars(self):
             constructor(self, *positional, **options)

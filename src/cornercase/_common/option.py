@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import re
 import textwrap
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import MISSING, Field, dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, Final, NamedTuple, TypeVar
+from typing import Any, Final, NamedTuple
 
-from cornercase._common.errors import suggest_name
+from cornercase._common.unknown_names import Function, refuse_unknown
 from cornercase._common.validation import (
     check_bool,
     check_float,
@@ -19,8 +19,6 @@ from cornercase._common.validation import (
     check_str,
     check_str_sequence,
 )
-
-Function = TypeVar("Function", bound=Callable[..., Any])
 
 _LINE_LENGTH: Final = 110
 # End of the first clause of a text.
@@ -212,20 +210,6 @@ def check_options(function: str, options: Mapping[str, Option], given: Mapping[s
     """Check the keyword arguments of a function, and fill in defaults; `TypeError` for unknown names."""
     refuse_unknown(function, options, given)
     return {name: item.check(given.get(name, item.default)) for name, item in options.items()}
-
-
-def refuse_unknown(
-    function: str, options: Collection[str], given: Collection[str], other_names: Mapping[str, str] | None = None
-) -> None:
-    """Raise `TypeError`, as Python does, if one of the keyword arguments is not an option of the function.
-
-    `other_names` maps names of other interfaces to those of the options.
-    """
-    for name in given:
-        if name not in options:
-            here = (other_names or {}).get(name)
-            hint = f"did you mean '{here}'?" if here in options else suggest_name(name, options)
-            raise TypeError(f"{function}() got an unexpected keyword argument '{name}'; {hint}")
 
 
 def document_options(options: Mapping[str, Option]) -> Callable[[Function], Function]:

@@ -16,6 +16,7 @@ from cornercase._common.memory import DEFAULT_MEMORY
 from cornercase._common.progress import can_show_bar
 from cornercase._common.text.notebook_html import render_html, render_html_table
 from cornercase._common.typing import FloatArray
+from cornercase._common.unknown_names import unknown_attribute
 from cornercase._common.validation import check_int, check_path
 from cornercase.api._simulator_fields import simulator_fields
 from cornercase.api._written_page import Page
@@ -107,6 +108,7 @@ class Study(PathLike[str]):
         self._issued_notices: set[str] = set()
 
     @classmethod
+    @suggest_arguments
     def create(
         cls, path: Path | str, problem: Problem, simulator: Simulator | str = "builtin", *, seed: int = 0
     ) -> Self:
@@ -134,6 +136,10 @@ class Study(PathLike[str]):
         ------
         InputError
             The file exists already or cannot be written, or an argument cannot be used.
+
+        See Also
+        --------
+        open_or_create : Opens the study if the file exists, so that a script can be run again.
         """
         study = cls._from_problem(path, problem, simulator, seed)
         if study.path.exists():
@@ -144,6 +150,7 @@ class Study(PathLike[str]):
         return study
 
     @classmethod
+    @suggest_arguments
     def open(
         cls, path: Path | str, simulator: Simulator | str | None = None, *, scenario: Path | str | None = None
     ) -> Self:
@@ -182,6 +189,7 @@ class Study(PathLike[str]):
             return study
 
     @classmethod
+    @suggest_arguments
     def open_or_create(
         cls, path: Path | str, problem: Problem, simulator: Simulator | str = "builtin", *, seed: int = 0
     ) -> Self:
@@ -234,6 +242,11 @@ class Study(PathLike[str]):
 
     def __fspath__(self) -> str:
         return str(self.path)
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any:
+            raise unknown_attribute("'Study' object", name, self)
 
     def __enter__(self) -> Self:
         return self
@@ -608,6 +621,7 @@ class Study(PathLike[str]):
                 )
             )
 
+    @suggest_arguments
     def watch(
         self,
         *,
@@ -778,6 +792,7 @@ class Study(PathLike[str]):
         with self._read() as file:
             return file.table()
 
+    @suggest_arguments
     def most_critical(self, n: int = 10, metric: str | None = None) -> pd.DataFrame:
         """Make a table of the most critical scenarios.
 
@@ -830,6 +845,7 @@ class Study(PathLike[str]):
             front = {row.id for row, on in zip(file.finished_rows(), is_on_front, strict=True) if on}
             return file.table().loc[[scenario for scenario in file.most_critical() if scenario in front]]
 
+    @suggest_arguments
     def recording(self, scenario: int) -> Recording:
         """Read the recording of a scenario.
 
@@ -850,6 +866,7 @@ class Study(PathLike[str]):
         with self._read() as file:
             return file.recording(scenario)
 
+    @suggest_arguments
     def course(self, scenario: int, metric: str | None = None) -> FloatArray:
         """Read the course of a metric in a scenario.
 
@@ -910,6 +927,7 @@ class Study(PathLike[str]):
             raise InputError(f"{self.path}: no scenario was run, or nothing says what is critical; give `threshold`.")
         return estimates
 
+    @suggest_arguments
     def sensitivity(self) -> Sensitivity:
         """Estimate how much of the variance of the objective's score each parameter explains.
 
@@ -940,6 +958,8 @@ class Study(PathLike[str]):
     def summary(self, *, threshold: float | None = None) -> Summary:
         """Summarize what was run and what was found, with all stored clusters and the reduced set.
 
+        ``print(study.summary())`` says it in the sentences of ``cornercase show``.
+
         Parameters
         ----------
         threshold : float, optional
@@ -959,6 +979,7 @@ class Study(PathLike[str]):
         with name_arguments_of_objects():
             return summarize(self._file, critical=threshold)
 
+    @suggest_arguments
     def export(self, folder: Path | str, *, parquet: bool = False) -> None:
         """Write the study as CSV: a table of scenarios, and the recording and metric courses of each scenario.
 

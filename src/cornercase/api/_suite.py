@@ -12,6 +12,7 @@ from cornercase._common.validation import check_path
 from cornercase.api._simulator_fields import simulator_fields
 from cornercase.drivers._resolve import DriverLike, check_drivers
 from cornercase.exploration import Runs
+from cornercase.exploration._problem import suggest_arguments
 from cornercase.exploration._runs import single_run_settings
 from cornercase.metrics import Metric
 from cornercase.simulators import Simulator
@@ -61,6 +62,7 @@ class Suite:
 
     @classmethod
     @short_errors()
+    @suggest_arguments
     def open(cls, path: Path | str, *, ego: str | None = None, other: str | Sequence[str] | None = None) -> Self:
         """Open a suite.
 
@@ -86,6 +88,7 @@ class Suite:
         return cls(path, ego=ego, other=other)
 
     @short_errors()
+    @suggest_arguments
     def run(
         self,
         study: Path | str | None = None,

@@ -15,17 +15,18 @@ from cornercase.cli.options import app, err, show_tracebacks
 
 MAX_LINE_LENGTH: Final = 1400
 """Longest line that is printed about an input, however long the names in it are."""
-# Parameters that no command has under this name.
+# Parameters and verbs that no command has under this name.
 _OPTION_BY_PARAMETER: Final = {
     "client": "--cluster",
     "folder": "-o",
     "kill_matrix": "--kill-mutants",
     "path": "-o",
     "study": "-o",
+    "Study.create": "'cornercase explore'",
 }
 # Also a column of recordings, which messages name.
 _AMBIGUOUS: Final = "speed"
-_QUOTED: Final = re.compile(r"`(\w+)`")
+_QUOTED: Final = re.compile(r"`([\w.]+)`")
 _DRIVER: Final = re.compile(r"as in \{'([^']*)': '([^']*)'\}")
 
 

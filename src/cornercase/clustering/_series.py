@@ -14,6 +14,7 @@ from cornercase._common.process.signals import count_requests
 from cornercase._common.text.sanitize import format_exception
 from cornercase._common.typing import FloatArray
 from cornercase.clustering._aspects import ASPECTS, EGO_TRAJECTORY, Aspect, Bearing, EgoTrajectory, JointPositions
+from cornercase.metrics import METRICS
 from cornercase.recordings import Recording
 from cornercase.recordings._recording import read_only
 from cornercase.study import StudyFile
@@ -33,6 +34,9 @@ def require_known_aspect(study: StudyFile, aspect: str) -> None:
     if aspect in study.meta.metrics:
         return
     if aspect.partition(":")[0] not in ASPECTS:
+        if aspect.partition(":")[0] in METRICS:
+            has = ", ".join(study.meta.metrics)
+            raise InputError(f"`by` {aspect}: {study.path} was explored without this metric; it has {has}.")
         names = sorted({*ASPECTS.names(), *study.meta.metrics})
         raise InputError(f"`by` {aspect}: {study.path} has no such aspect or metric; {suggest_name(aspect, names)}")
     create_aspect(aspect)

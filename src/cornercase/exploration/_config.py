@@ -75,6 +75,8 @@ class ExplorationConfig(ExplorationOptions):
         OPTIMIZERS.check_own_name(given["optimizer"])
         if not is_built_in(given["optimizer"]):
             require_storable_options(given["optimizer"])
+        if isinstance(self.critical, str) and any(map(str.isdigit, self.critical)):
+            raise self._threshold_with_unit()
         for name, option in CONFIG_OPTIONS.items():
             object.__setattr__(self, name, option.check(given[name]))
         all_entities = self.logical.scenario_file.entities if ALL_OTHERS in self.other else ()
@@ -86,6 +88,15 @@ class ExplorationConfig(ExplorationOptions):
             raise InputError(f"`audit` {self.audit:g}: give a fraction of the scenarios up to {MAX_AUDIT_FRACTION:g}.")
         object.__setattr__(self, "drivers", check_drivers(self.drivers))
         object.__setattr__(self, "max_repeats", self._decisive_max_repeats())
+
+    def _threshold_with_unit(self) -> InputError:
+        metric = resolve_metrics(self.metrics)[0]
+        example = f"{metric.name} {'<' if metric.lower_is_critical else '>'} {self.critical}"
+        unit = "without a unit" if metric.unit == "1" else f"in {metric.unit}"
+        return InputError(
+            f"`critical` {self.critical!r}: give a number {unit}, as {metric.name} has; only a condition takes units,"
+            f' as in `critical_if` "{example}".'
+        )
 
     @property
     def others(self) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""Detect metrics with the same score in all scenarios."""
+"""Detect metrics with the same score in all scenarios, and thresholds that make all scenarios the same."""
 
 from __future__ import annotations
 
@@ -6,9 +6,12 @@ from typing import Final
 
 import numpy as np
 
+from cornercase._common.configurable import given_options
 from cornercase._common.errors import InputError
+from cornercase._common.io.support_table import issue_notice_warning
 from cornercase.study import StudyFile
 from cornercase.study._damage import DamageError
+from cornercase.study._objective import Objective
 
 # Minimum number of finished scenarios.
 MIN_SCENARIOS_TO_COMPARE: Final = 10
@@ -43,3 +46,27 @@ def describe_constant_metrics(study: StudyFile) -> dict[str, str]:
         else:
             sentences[name] += ", so the search has only the other metrics to follow. Leave it out or widen the ranges."
     return sentences
+
+
+def warn_about_threshold(objective: Objective, name: str) -> None:
+    """Issue a `NoticeWarning` if no score or each score of the metric passes the threshold; `name` is the argument."""
+    if objective.weights or objective.threshold is None:
+        return
+    metric, threshold = objective.metrics[0], objective.threshold
+    most_critical = metric.bound
+    # Options such as `signed` go beyond contact.
+    if most_critical is None and not given_options(metric):
+        most_critical = metric.contact_score
+    least, limit = metric.to_minimize(metric.cap), metric.to_minimize(threshold)
+    if limit >= least:
+        effect = "each scenario is critical"
+    elif most_critical is not None and limit < metric.to_minimize(most_critical):
+        effect = "no scenario is critical"
+    else:
+        return
+    unit = "" if metric.unit == "1" else f" {metric.unit}"
+    if most_critical is None:
+        scores = f"{'at most' if metric.lower_is_critical else 'at least'} {metric.cap:g}{unit}"
+    else:
+        scores = f"from {min(metric.cap, most_critical):g} to {max(metric.cap, most_critical):g}{unit}"
+    issue_notice_warning(f"`{name}` {threshold:g}: scores by {metric.name} are {scores}, so {effect}")

@@ -12,13 +12,15 @@ from typing import Any, Unpack
 from cornercase._common.errors import InputError
 from cornercase._common.io.files import check_output_differs_from_source
 from cornercase._common.io.support_table import Notice, warn_notices
-from cornercase._common.option import check_options, document_options, refuse_unknown
+from cornercase._common.option import check_options, document_options
 from cornercase._common.process.dask import open_connection
+from cornercase._common.unknown_names import refuse_unknown
 from cornercase._common.validation import check_bool, check_path
 from cornercase.drivers import Driver
 from cornercase.drivers._resolve import DriverLike, check_reference_driver, resolve_driver
 from cornercase.exploration._asynchronous import AsynchronousExplorer
 from cornercase.exploration._config import ExplorationConfig
+from cornercase.exploration._constant_metrics import warn_about_threshold
 from cornercase.exploration._explore_options import CALL_OPTIONS, CONFIG_OPTIONS, OPTIONS, SPACE_OPTIONS, ExploreOptions
 from cornercase.exploration._explorer import ExplorationResult, ScenarioExplorer
 from cornercase.exploration._varied_file import open_logical_scenario
@@ -104,6 +106,7 @@ def explore(
     )
     with open_logical_scenario(scenario, file, **space) as logical_scenario:
         config = ExplorationConfig(logical_scenario, **settings)
+        warn_about_threshold(config.make_objective(), "critical")
         call = check_options("explore", CALL_OPTIONS, call)
         if call.pop("check_proposals"):
             return _verify_proposals_of_study(config, file)

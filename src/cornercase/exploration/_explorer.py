@@ -46,6 +46,8 @@ class ExplorationResult:
     reason : str
         Why it ended, as a part of a sentence.
     interrupted : bool
+        Whether Ctrl-C ended it. Only a result of `cornercase.explore` can say so: `Study.explore` raises
+        KeyboardInterrupt instead.
     constant_metrics : tuple of str
         A sentence for each searched metric that has the same score in all scenarios.
     new_constant_metrics : tuple of str

@@ -5,16 +5,16 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import wraps
-from inspect import signature
 from pathlib import Path
-from typing import Any, Final, cast
+from typing import Any, Final
 
 from cornercase._common.errors import InputError, short_errors
-from cornercase._common.option import Function, refuse_unknown
 from cornercase._common.text.notebook_html import render_html
+from cornercase._common.unknown_names import Function
+from cornercase._common.unknown_names import suggest_arguments as suggest_names
 from cornercase._common.validation import repr_short
 from cornercase.exploration._config import ExplorationConfig, metrics_to_continue, read_logical_scenario
+from cornercase.exploration._constant_metrics import warn_about_threshold
 from cornercase.metrics import Metric
 from cornercase.scenario import LogicalScenario
 from cornercase.study import StudyFile
@@ -36,15 +36,8 @@ _DRIVER_EXAMPLE: Final = re.compile(r"Study\.open, as in (\{.*\})")
 
 
 def suggest_arguments(function: Function) -> Function:
-    """Decorator: the error of an unknown keyword argument says which one is meant, also for names of options."""
-    parameters = [name for name in signature(function).parameters if name != "self"]
-
-    @wraps(function)
-    def call(*positional: Any, **given: Any) -> Any:
-        refuse_unknown(function.__qualname__.removesuffix(".__init__"), parameters, given, _NAME_IN_OBJECTS)
-        return function(*positional, **given)
-
-    return cast(Function, call)
+    """Like the decorator in `_common`, also for names of options of the functions."""
+    return suggest_names(function, _NAME_IN_OBJECTS)
 
 
 @dataclass(frozen=True, repr=False)
@@ -106,7 +99,7 @@ class Problem:
         with name_arguments_of_objects():
             config = config_from_problem(self)
             config.require_entities()
-            config.make_objective()
+            warn_about_threshold(config.make_objective(), "threshold")
         for name in ("other", "metrics", "weights"):
             object.__setattr__(self, name, getattr(config, name))
         object.__setattr__(self, "threshold", config.critical)

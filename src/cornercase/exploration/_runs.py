@@ -7,6 +7,7 @@ from typing import Any, Final
 
 from cornercase._common.errors import InputError
 from cornercase._common.option import document_options
+from cornercase._common.unknown_names import suggest_arguments
 from cornercase._common.validation import not_an_object
 from cornercase.exploration._explore_options import CONFIG_OPTIONS
 from cornercase.simulators._run_options import RUN_OPTIONS, RunOptions
@@ -45,6 +46,9 @@ class Runs(RunOptions):
     def __repr__(self) -> str:
         changed = [f"{name}={value!r}" for name, value in vars(self).items() if value != getattr(Runs, name)]
         return f"Runs({', '.join(changed)})"
+
+
+Runs.__init__ = suggest_arguments(Runs.__init__)  # type: ignore[method-assign]
 
 
 def run_settings(runs: Runs | None) -> dict[str, Any]:

@@ -1,12 +1,15 @@
+from ._collision_replies import ReplyCounts as ReplyCounts
 from ._estimates import AuditEstimates as AuditEstimates
 from ._estimates import CriticalEstimates as CriticalEstimates
 from ._estimates import CriticalSetEstimates as CriticalSetEstimates
+from ._estimates import SpaceEstimates as SpaceEstimates
 from ._page import write_report as write_report
+from ._reference_counts import ReferenceCount as ReferenceCount
 from ._settings_page import write_settings_page as write_settings_page
+from ._summarize import summarize as summarize
 from ._summary import FailureSummary as FailureSummary
 from ._summary import MetricSummary as MetricSummary
 from ._summary import Summary as Summary
-from ._summary import summarize as summarize
 from .cards._test_cards import write_test_cards as write_test_cards
 from .comparison._comparison_page import write_comparison as write_comparison
 from .figures._paper_figures import PAPER_SCENARIOS as PAPER_SCENARIOS

@@ -18,19 +18,42 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ReplyCounts:
-    """What the ego did about its collisions, and what else would have avoided them, as far as the motion shows it."""
+    """What the ego did about its collisions, and what else would have avoided them, as far as the motion shows it.
 
-    n_collisions: int  # scenarios in which the ego collides with an entity it is measured against
-    n_measured: int  # those whose recordings were examined: all, or an even sample of a large study
+    Attributes
+    ----------
+    n_collisions : int
+        Scenarios in which the ego collides with an entity it is measured against.
+    n_measured : int
+        Those whose recordings were examined: all, or an even sample of a large study. The following are numbers of
+        these.
+    n_without_braking, n_braking, n_driving_on : int
+        The ego does not brake; it brakes or stands until they touch; it brakes, and drives on before they touch.
+    n_reactions : int
+        It brakes no earlier than 0.5 s before it could see the collision coming.
+    median_reaction : float or None
+        Time from then to braking in s, over these.
+    n_seen_too_late : int
+        Full braking at once, when it could see the collision coming, would not have stopped it.
+    n_avoided_earlier : mapping of float to int
+        Of those with braking, how many braking earlier would have avoided, by how much earlier in s.
+    n_avoided_by_full_braking : int
+        Of those without braking, how many the careful driver of UN Regulation No. 157 would have avoided.
+    n_avoided_by_waiting : int
+        Of those in which it drives on, how many waiting would have avoided.
+    """
+
+    n_collisions: int
+    n_measured: int
     n_without_braking: int
-    n_braking: int  # the ego brakes or stands until they touch
-    n_driving_on: int  # it brakes, and drives on before they touch
-    n_reactions: int  # it brakes no earlier than 0.5 s before it could see the collision coming
-    median_reaction: float | None  # from then to braking in s, over these
-    n_seen_too_late: int  # full braking at once, when it could see the collision coming, would not have stopped it
-    n_avoided_earlier: Mapping[float, int] = field(default_factory=dict)  # of those with braking, by time in s
-    n_avoided_by_full_braking: int = 0  # of those without braking, by the careful driver of UN Regulation No. 157
-    n_avoided_by_waiting: int = 0  # of those in which it drives on
+    n_braking: int
+    n_driving_on: int
+    n_reactions: int
+    median_reaction: float | None
+    n_seen_too_late: int
+    n_avoided_earlier: Mapping[float, int] = field(default_factory=dict)
+    n_avoided_by_full_braking: int = 0
+    n_avoided_by_waiting: int = 0
 
     @property
     def n_with_braking(self) -> int:

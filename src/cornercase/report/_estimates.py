@@ -191,12 +191,24 @@ class AuditEstimates:
 
 @dataclass(frozen=True)
 class SpaceEstimates:
-    """Estimates for the whole parameter space from the scenarios that were run."""
+    """Estimates for the whole parameter space from the scenarios that were run.
 
-    pareto_front: Mapping[int, Mapping[str, float]] | None = None  # scores on the Pareto front by id and metric
-    critical: CriticalEstimates | None = None  # None if a front was searched or there is no threshold
-    sensitivity: Sensitivity | None = None  # None if a front was searched or too few scenarios were run
-    surrogate: ScoreSurrogate | None = None  # what `sensitivity` comes from
+    Attributes
+    ----------
+    pareto_front : mapping of int to mapping of str to float, or None
+        Scores on the Pareto front, by id and metric; None if no front was searched.
+    critical : CriticalEstimates or None
+        None if a front was searched or there is no threshold.
+    sensitivity : Sensitivity or None
+        None if a front was searched or too few scenarios were run.
+    surrogate : ScoreSurrogate or None
+        The model that `sensitivity` comes from.
+    """
+
+    pareto_front: Mapping[int, Mapping[str, float]] | None = None
+    critical: CriticalEstimates | None = None
+    sensitivity: Sensitivity | None = None
+    surrogate: ScoreSurrogate | None = None
 
 
 @dataclass(frozen=True)

@@ -13,12 +13,22 @@ from cornercase.suite import Requirement
 
 @dataclass(frozen=True)
 class ReferenceCount:
-    """Number of scenarios by result, after they were run again with a reference driver driving the ego."""
+    """Number of scenarios by result, after they were run again with a reference driver driving the ego.
+
+    Attributes
+    ----------
+    n_prevented, n_colliding : int
+        Scenarios in which the reference avoids the collision, and in which it collides, too.
+    n_not_applicable : int
+        Scenarios outside the model of the reference.
+    n_colliding_later : int
+        Of the prevented ones, those with a collision that the regulation does not count.
+    """
 
     n_prevented: int
     n_colliding: int
-    n_not_applicable: int  # scenarios outside the model of the reference
-    n_colliding_later: int = 0  # of the prevented ones: a collision that the regulation does not count
+    n_not_applicable: int
+    n_colliding_later: int = 0
 
     @property
     def n_scenarios(self) -> int:

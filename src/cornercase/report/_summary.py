@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
+from html import escape
 from typing import Any, Final, get_args
 
 import numpy as np
@@ -28,7 +28,6 @@ from cornercase.study import ScenarioRecord, StudyFile, StudyMeta
 from cornercase.study._criticality_order import order_by_criticality
 from cornercase.study._damage import require_value, reraise_as_damage
 from cornercase.study._objective import Objective
-from cornercase.study._study_file import open_study
 
 # Reasons that somebody may still read.
 _MAX_REASONS: Final = 20
@@ -94,7 +93,7 @@ class FailureSummary:
 
 @dataclass(frozen=True, repr=False)
 class Summary:
-    """What was run in a study, and what was found.
+    """What was run in a study, and what was found; `str` is what ``cornercase show`` says of the file now.
 
     Attributes
     ----------
@@ -155,11 +154,16 @@ class Summary:
     failures: Mapping[str, FailureSummary] = field(default_factory=dict)
     bands: Mapping[str, Bands] = field(default_factory=dict)
     replies: ReplyCounts | None = None
+    _describe: Callable[[], str] = field(default=str, compare=False)
+    """Returns what ``cornercase show`` says; an empty text if nothing."""
 
     @property
     def represents_space(self) -> bool:
         """Whether scenarios were searched or imported, not of a suite or an estimate, which leave nothing to reduce."""
         return not self.meta.suite and self.probability is None
+
+    def __str__(self) -> str:
+        return self._describe() or repr(self)
 
     def __repr__(self) -> str:
         parts = [f"{self.meta.title}: {self.n_run} scenarios run, {self.n_collisions} collisions"]
@@ -177,7 +181,7 @@ class Summary:
         return f"<Summary of {', '.join(parts)}>"
 
     def _repr_html_(self) -> str:
-        """Counts, a table of the metrics, the clusters and the reduced set, for notebooks."""
+        """The sentences, a table of the metrics, the clusters and the reduced set, for notebooks."""
         import pandas as pd
 
         metrics = pd.DataFrame(
@@ -191,46 +195,11 @@ class Summary:
                 for name, metric in self.metrics.items()
             }
         ).T
-        parts = [render_html_table(repr(self), metrics)]
+        parts = [f'<div style="white-space: pre-wrap">{escape(str(self))}</div>', render_html_table("Metrics", metrics)]
         parts += [analysis._repr_html_() for analysis in self.analyses.values()]
         if self.reduced_set is not None:
             parts.append(self.reduced_set._repr_html_())
         return "".join(parts)
-
-
-def summarize(study: StudyFile | Path | str, *, critical: float | None = None) -> Summary:
-    """Summarize what was run in a study, and what was found.
-
-    Parameters
-    ----------
-    study : Study, StudyFile or path
-        An open study, or its file; it is only read.
-    critical : float, optional
-        Score from which a scenario is critical, in the unit of the objective; default: that of the study.
-
-    Returns
-    -------
-    Summary
-        Typed values; ``print`` shows them in a line.
-
-    Raises
-    ------
-    InputError
-        There is no such study, or `critical` is given but the study does not define criticality by one score.
-
-    See Also
-    --------
-    cornercase.write_report : The same with figures, for people.
-
-    Examples
-    --------
-    >>> import cornercase as cc
-    >>> cc.summarize("study.db").n_collisions  # doctest: +SKIP
-    12
-    """
-    with open_study(study, readonly=True, critical=critical) as opened, opened.snapshot():
-        entities_hit = [entities_hit_by_ego(opened.meta, hits) for hits in opened.collisions().values()]
-        return summarize_with_collisions(opened, entities_hit, list(opened.impacts().values()))
 
 
 def entities_hit_by_ego(meta: StudyMeta, collisions: Iterable[Collision]) -> frozenset[str]:

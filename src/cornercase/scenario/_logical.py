@@ -11,6 +11,7 @@ from typing import Any, Final, Self
 import numpy as np
 
 from cornercase._common.errors import InputError
+from cornercase._common.unknown_names import suggest_arguments
 from cornercase._common.validation import check_bool, check_float, check_path, check_str
 from cornercase.scenario._constraints import read_declarations
 from cornercase.scenario._file import ScenarioFile
@@ -146,6 +147,7 @@ class LogicalScenario:
         return ScenarioFile.read(self.path) if self.file is None else self.file
 
     @classmethod
+    @suggest_arguments
     def read(
         cls,
         scenario: Path | str | ScenarioFile | None,
@@ -208,6 +210,7 @@ class LogicalScenario:
         file = add_varied_roads(file, space)
         return cls(file.path, space, file.fingerprint(), file)
 
+    @suggest_arguments
     def vary(self, name: str, low: float, high: float, *, step: float | None = None) -> Self:
         """Return a scenario in which a parameter has this range; all other parameters stay.
 

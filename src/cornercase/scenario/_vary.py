@@ -203,7 +203,7 @@ def vary(
 
     See Also
     --------
-    variables : Lists the numbers that can be varied.
+    list_variables : Lists the numbers that can be varied.
 
     Examples
     --------

@@ -80,7 +80,7 @@ def require_nonempty_file(path: Path) -> None:
     except OSError as error:
         if not isinstance(error, FileNotFoundError | NotADirectoryError):
             raise InputError(f"{path}: cannot be read ({error.strerror}).") from error
-        raise InputError(f"{path}: there is no such study; make one with `explore`.") from error
+        raise InputError(f"{path}: there is no such study; make one with `Study.create`.") from error
     except ValueError as error:
         raise InputError(f"{path}: is not a valid file name ({error}).") from error
     if not stat.S_ISREG(status.st_mode):
@@ -88,7 +88,7 @@ def require_nonempty_file(path: Path) -> None:
     if not status.st_size:
         raise InputError(
             f"{path}: is empty, and not a study; copy the study here again, or remove the file and make one with"
-            " `explore`."
+            " `Study.create`."
         )
 
 

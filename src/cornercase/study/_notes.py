@@ -43,7 +43,7 @@ def write_note(study: Path | str, scenario: int, note: str) -> None:
     >>> write_note("missing.db", 3, "brakes late")
     Traceback (most recent call last):
         ...
-    cornercase._common.errors.InputError: missing.db: there is no such study; make one with `explore`.
+    cornercase._common.errors.InputError: missing.db: there is no such study; make one with `Study.create`.
     """
     file = check_path("study", study)
     scenario_id = check_int("scenario", scenario, maximum=_MAX_ID)

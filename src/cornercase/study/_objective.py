@@ -9,7 +9,7 @@ import numpy as np
 
 from cornercase._common.errors import InputError, suggest_name
 from cornercase._common.typing import BoolArray, FloatArray
-from cornercase.metrics import Metric
+from cornercase.metrics import METRICS, Metric
 from cornercase.study._criterion import Criterion
 from cornercase.study._meta import StudyMeta
 
@@ -41,6 +41,8 @@ class Objective:
         names = [metric.name for metric in metrics]
         for name, weight in self.weights.items():
             if name not in names:
+                if name.partition(":")[0] in METRICS:
+                    raise InputError(f"`weights` {name}: `metrics` are {', '.join(names)}; name it there, too.")
                 raise InputError(f"`weights` {name}: is not one of the metrics; {suggest_name(name, names)}")
             if not 0.0 < weight < np.inf:
                 is_low = metrics[names.index(name)].lower_is_critical

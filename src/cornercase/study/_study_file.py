@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import AbstractContextManager, closing, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Self
@@ -544,10 +544,10 @@ class StudyFile:
             The scenario has not run, its id is not an integer, or the study has no such metric.
         """
         self._require_metric(metric)
-        scenario_id = check_int("scenario", scenario, maximum=_MAX_ID)
+        scenario_id = self._check_id(scenario)
         rows = self._database.read_rows("courses", "scenario = ? AND metric = ?", scenario_id, metric, with_blob=True)
         if not rows:
-            raise InputError(f"{self.path}: the scenario {scenario_id} was not run.")
+            raise self._not_run(scenario_id)
         with reraise_as_damage(self.path):
             course = np.asarray(unpack_arrays(rows[0][-1])["course"])
             require_value(
@@ -575,10 +575,10 @@ class StudyFile:
         return self._unpack_recording(self._read_packed_recording(scenario))
 
     def _read_packed_recording(self, scenario: int) -> bytes:
-        scenario_id = check_int("scenario", scenario, maximum=_MAX_ID)
+        scenario_id = self._check_id(scenario)
         rows = self._database.read_rows("scenarios", "id = ?", scenario_id, with_blob=True)
         if not rows or rows[0][-1] is None:
-            raise InputError(f"{self.path}: the scenario {scenario_id} was not run.")
+            raise self._not_run(scenario_id)
         packed: bytes = rows[0][-1]
         return packed
 
@@ -685,10 +685,10 @@ class StudyFile:
             return decode_digest(decode_facts(facts), packed, self.meta)
 
     def _read_digest(self, scenario: int) -> tuple[str, bytes]:
-        scenario_id = check_int("scenario", scenario, maximum=_MAX_ID)
+        scenario_id = self._check_id(scenario)
         rows = self._database.read_rows("digests", "scenario = ?", scenario_id, with_blob=True)
         if not rows:
-            raise InputError(f"{self.path}: the scenario {scenario_id} was not run.")
+            raise self._not_run(scenario_id)
         _, facts, packed = rows[0]
         return facts, packed
 
@@ -827,6 +827,21 @@ class StudyFile:
                     isinstance(note, str) and len(note) <= MAX_NOTE_LENGTH, f"the note on the scenario {scenario}"
                 )
             return dict(rows)
+
+    def _check_id(self, scenario: object) -> int:
+        with suppress(InputError):
+            return check_int("scenario", scenario, maximum=_MAX_ID)
+        ids = describe_ids([row.id for row in self.rows()])
+        raise InputError(
+            f"`scenario` {validation.repr_short(scenario)}: give the id of a scenario, a whole number; {ids}."
+        )
+
+    def _not_run(self, scenario: int) -> InputError:
+        """Return the error for a scenario that does not exist, or has no recording."""
+        ids = [row.id for row in self.rows()]
+        if scenario in ids:
+            return InputError(f"{self.path}: the scenario {scenario} was not run.")
+        return InputError(f"{self.path}: has no scenario {scenario}; {describe_ids(ids)}.")
 
     def _require_metric(self, metric: str) -> None:
         if metric not in self.meta.metrics:
@@ -1084,10 +1099,11 @@ class StudyFile:
             …`` and ``highest …`` for each metric, ``critical runs`` as in `critical_run_rates`, and ``runs`` (the
             number of runs that did not fail) if it may vary. If there are several other entities, ``other by …`` names
             the entity that the score of a metric is measured against. ``collision`` names the entity that the ego
-            collides with first, and ``impact speed`` is their relative speed at contact in m/s. ``cluster by …`` is the
-            cluster by an aspect, -1 for noise. Then follow ``outcome`` after an analysis, ``note`` if there are notes,
-            and ``error``. Cells without a value are empty. A parameter with the name of another column becomes
-            ``parameter …``.
+            collides with first, and ``impact speed`` is their relative speed at contact in m/s. ``fault`` says whose
+            fault this collision is (``"ego"``, ``"other"``, ``"both"`` or ``"undecided"``), and ``fault reason`` why.
+            ``cluster by …`` is the cluster by an aspect, -1 for noise. Then follow ``outcome`` after an analysis,
+            ``note`` if there are notes, and ``error``. Cells without a value are empty. A parameter with the name of
+            another column becomes ``parameter …``.
         """
         with self.snapshot():
             scores = {}
@@ -1271,6 +1287,12 @@ class StudyFile:
     def _count_states(self) -> dict[str, int]:
         """Number of scenarios by state."""
         return Counter(row.state for row in self.rows())
+
+
+def describe_ids(ids: Collection[int]) -> str:
+    """Say which scenarios a study has."""
+    last = max(ids, default=0)
+    return f"its scenarios are 1 to {last}" if last else "it has none yet"
 
 
 @contextmanager

@@ -77,7 +77,7 @@ def verify(study: Path | str) -> Verification:
     >>> verify("missing.db")
     Traceback (most recent call last):
         ...
-    cornercase._common.errors.InputError: missing.db: there is no such study; make one with `explore`.
+    cornercase._common.errors.InputError: missing.db: there is no such study; make one with `Study.create`.
     """
     path = validation.check_path("study", study)
     require_nonempty_file(path)

@@ -75,7 +75,7 @@ class ScenarioResult:
 
 @dataclass(frozen=True, repr=False)
 class SuiteResult:
-    """Result of a suite.
+    """Result of a suite; as a bool it says whether the suite passed, as `has_passed` does.
 
     Attributes
     ----------
@@ -109,6 +109,9 @@ class SuiteResult:
     no_comparison_reason: str = ""
     n_ran_before: int = 0
     kill_matrix: KillMatrix | None = None
+
+    def __bool__(self) -> bool:
+        return self.has_passed()
 
     def count_scenarios(self, state: str) -> int:
         """Count the scenarios in a state.

@@ -1,4 +1,4 @@
-"""Compiled search for the nearest points, for points with many axes of which the first matter most."""
+"""Compiled search for the nearest points, for points with many axes whose first ones matter most."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -17,7 +17,7 @@ from cornercase.clustering._cells import CELL_SIZE, MARGIN, fill_squares_if_near
 def fill_nearest_rows(columns, cells, result):
     """Write the indices of the nearest rows of each column, the nearest first, to `result`, shape (m, k).
 
-    `columns` have shape (m, stages, AXES). `cells` are made of the rows, of which there are at least k.
+    `columns` have shape (m, stages, AXES). `cells` are made of the rows, at least k.
     """
     n_nearest, n_cells = result.shape[1], len(cells.indices)
     to_centers, to_members, bounds = np.empty(n_cells), np.empty(CELL_SIZE), np.empty(CELL_SIZE)

@@ -273,6 +273,8 @@ class _Parser:
         if not has_signal(name):
             suggestion = suggest_name(name.partition(":")[0], [*_STATEMENTS, *signal_names()])
             operator = _suggest_operator(name) if name.isalpha() and "known are" in suggestion else ""
+            if not operator and "known are" in suggestion:
+                suggestion = f"a metric of your own is one once METRICS.register has named it; {suggestion}"
             self.fail(f"there is no signal '{name}'; {operator or suggestion}")
         try:
             signal = Signal(name, signal_unit(name))

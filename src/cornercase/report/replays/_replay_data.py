@@ -20,6 +20,7 @@ from cornercase.scenario import Parameter
 from cornercase.scenario._file import ScenarioFile
 from cornercase.study import ScenarioRecord, StudyFile, StudyMeta
 from cornercase.study._criterion import Criterion
+from cornercase.study._study_file import describe_ids
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,8 +120,7 @@ def read_replay_data(
 def _require_run_scenario(study: StudyFile, rows: Mapping[int, ScenarioRecord], scenario_id: int) -> ScenarioRecord:
     row = rows.get(scenario_id)
     if row is None:
-        count = f"its scenarios are 1 to {max(rows)}" if rows else "it has none yet"
-        raise InputError(f"{study.path}: has no scenario {scenario_id}; {count}.")
+        raise InputError(f"{study.path}: has no scenario {scenario_id}; {describe_ids(rows)}.")
     if row.state == "failed":
         raise InputError(f"{study.path}: scenario {scenario_id} failed, so there is nothing to replay: {row.error}")
     if row.state != "done":

@@ -108,7 +108,7 @@ def compare(
     >>> cc.compare("missing_a.db", "missing_b.db")
     Traceback (most recent call last):
         ...
-    cornercase._common.errors.InputError: missing_a.db: there is no such study; make one with `explore`.
+    cornercase._common.errors.InputError: missing_a.db: there is no such study; make one with `Study.create`.
     """
     with (
         open_study(old, readonly=True, critical=critical) as before,
@@ -296,7 +296,15 @@ def _describe_setting_differences(old: StudyMeta, new: StudyMeta) -> Iterator[st
     for name, label in _SETTING_LABELS.items():
         if getattr(old, name) != getattr(new, name):
             yield f"{label}: {getattr(old, name)} → {getattr(new, name)}"
-    yield from _describe_value_difference("", old.settings, new.settings)
+    yield from _describe_value_difference("", *_settings_with_ego_drivers(old, new))
+
+
+def _settings_with_ego_drivers(old: StudyMeta, new: StudyMeta) -> Iterator[dict[str, Any]]:
+    """Yield the settings of both studies, with the ego's driver also where the scenario file names it."""
+    ego_drivers = [meta.ego_driver for meta in (old, new)]
+    for meta, driver in zip((old, new), ego_drivers, strict=True):
+        ego_entry = {} if None in ego_drivers else {meta.ego: driver or "its storyboard"}
+        yield {**meta.settings, "drivers": {**meta.drivers, **ego_entry}}
 
 
 def _describe_nondeterminism(*studies: StudyFile) -> Iterator[str]:
@@ -313,11 +321,12 @@ def _describe_value_difference(name: str, old: Any, new: Any) -> Iterator[str]:
         if texts[0] != texts[1]:
             yield f"driver {name.removeprefix(_DRIVER_PREFIX)}: {texts[0]} → {texts[1]}"
             return
+    before, after = old, new
     if isinstance(old, str) != isinstance(new, str):
-        old, new = _expand_driver_name(old), _expand_driver_name(new)
-    if isinstance(old, Mapping) and isinstance(new, Mapping) and old.get("driver") == new.get("driver"):
-        for key in [*old, *(key_ for key_ in new if key_ not in old)]:
-            yield from _describe_value_difference(f"{name} {key}".lstrip(), old.get(key), new.get(key))
+        before, after = _expand_driver_name(old), _expand_driver_name(new)
+    if isinstance(before, Mapping) and isinstance(after, Mapping) and before.get("driver") == after.get("driver"):
+        for key in [*before, *(key_ for key_ in after if key_ not in before)]:
+            yield from _describe_value_difference(f"{name} {key}".lstrip(), before.get(key), after.get(key))
     else:
         yield f"{name.replace('_', ' ')}: {_format_setting(old)} → {_format_setting(new)}"
 
@@ -336,7 +345,7 @@ def _expand_driver_name(driver: Any) -> Any:
 
 def _format_setting(value: Any) -> str:
     if isinstance(value, Mapping):
-        return str(value.get("driver", "others"))
+        return format_driver(value) if "driver" in value else "others"
     return "that of the scenario file" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
 
 

@@ -168,9 +168,9 @@ class ChangeTest:
     shift: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Finding:
-    """One aspect in which the new version is worse or better, or changed within the tolerances.
+    """One aspect in which the new version is worse or better, or changed within the tolerances; `str` is its text.
 
     Attributes
     ----------
@@ -199,6 +199,12 @@ class Finding:
     largest_change: float | None = None
     unit: str = ""
     test: ChangeTest | None = None
+
+    def __str__(self) -> str:
+        return self.text
+
+    def __repr__(self) -> str:
+        return f"<Finding: {self.direction}, {self.text}>"
 
     @property
     def change_text(self) -> str:

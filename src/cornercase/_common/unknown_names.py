@@ -1,0 +1,77 @@
+"""Say which name is meant by an unknown argument or attribute; some are words of other libraries."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping
+from functools import wraps
+from inspect import signature
+from typing import Any, Final, TypeVar, cast
+
+from cornercase._common.errors import suggest_name
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+_WORKERS: Final = "give `runs=Runs(workers=…)`."
+# Arguments by what another library calls them: the option that takes their place, and what to say if it has another
+# meaning. Without an option, what is said is true of every function.
+_ARGUMENT_SYNONYMS: Final = (
+    ("direction", "", "each metric says whether low or high scores are critical."),
+    ("drivers", "simulator", "the simulator holds them: give `simulator=Builtin(drivers={…})`."),
+    ("n_jobs", "runs", _WORKERS),
+    ("n_jobs", "workers", ""),
+    ("n_trials", "budget", ""),
+    ("sampler", "optimizer", ""),
+    ("timeout", "stop", "give `stop=stop.seconds(…)`."),
+    ("workers", "runs", _WORKERS),
+)
+_BEST: Final = "use `most_critical(1)`."
+_ATTRIBUTE_SYNONYMS: Final = {
+    "best_params": _BEST,
+    "best_trial": _BEST,
+    "best_trials": "those of the Pareto front are in `summary()`.",
+    "best_value": _BEST,
+    "create_study": "use `Study.create`.",
+    "optimize": "use `explore`.",
+    "trials": "use `table()`.",
+    "trials_dataframe": "use `table()`.",
+}
+
+
+def unknown_attribute(owner: str, name: str, instance: object = None) -> AttributeError:
+    """Return the error for an attribute that is missing, which says what is meant by a word of another library."""
+    hint = _ATTRIBUTE_SYNONYMS.get(name)
+    message = f"{owner} has no attribute '{name}'{'' if hint is None else f'; {hint}'}"
+    # Of `instance` Python suggests similar names.
+    return AttributeError(message, name=name, obj=instance)
+
+
+def refuse_unknown(
+    function: str, options: Collection[str], given: Collection[str], other_names: Mapping[str, str] | None = None
+) -> None:
+    """Raise `TypeError`, as Python does, if one of the keyword arguments is not an option of the function.
+
+    `other_names` maps names of other interfaces to those of the options.
+    """
+    for name in given:
+        if name not in options:
+            hint = _describe_argument(name, options, other_names or {})
+            raise TypeError(f"{function}() got an unexpected keyword argument '{name}'; {hint}")
+
+
+def _describe_argument(name: str, options: Collection[str], other_names: Mapping[str, str]) -> str:
+    for word, option, hint in (*_ARGUMENT_SYNONYMS, *((word, option, "") for word, option in other_names.items())):
+        if word == name and (not option or option in options):
+            return hint or f"did you mean '{option}'?"
+    return suggest_name(name, options) if options else "it takes none."
+
+
+def suggest_arguments(function: Function, other_names: Mapping[str, str] | None = None) -> Function:
+    """Decorator: the error of an unknown keyword argument says which one is meant; `other_names` as above."""
+    parameters = [name for name in signature(function).parameters if name not in ("self", "cls")]
+
+    @wraps(function)
+    def call(*positional: Any, **given: Any) -> Any:
+        refuse_unknown(function.__qualname__.removesuffix(".__init__"), parameters, given, other_names)
+        return function(*positional, **given)
+
+    return cast(Function, call)

@@ -1,0 +1,58 @@
+"""Summarize a study."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+from cornercase.report._summary import Summary, entities_hit_by_ego, summarize_with_collisions
+from cornercase.study import StudyFile
+from cornercase.study._study_file import open_study
+
+
+def summarize(study: StudyFile | Path | str, *, critical: float | None = None) -> Summary:
+    """Summarize what was run in a study, and what was found.
+
+    Parameters
+    ----------
+    study : Study, StudyFile or path
+        An open study, or its file; it is only read.
+    critical : float, optional
+        Score from which a scenario is critical, in the unit of the objective; default: that of the study.
+
+    Returns
+    -------
+    Summary
+        Typed values; ``print`` shows what ``cornercase show`` says.
+
+    Raises
+    ------
+    InputError
+        There is no such study, or `critical` is given but the study does not define criticality by one score.
+
+    See Also
+    --------
+    cornercase.write_report : The same with figures, for people.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> cc.summarize("study.db").n_collisions  # doctest: +SKIP
+    12
+    """
+    with open_study(study, readonly=True, critical=critical) as opened, opened.snapshot():
+        entities_hit = [entities_hit_by_ego(opened.meta, hits) for hits in opened.collisions().values()]
+        summary = summarize_with_collisions(opened, entities_hit, list(opened.impacts().values()))
+        return replace(summary, _describe=partial(_describe, opened.path.absolute(), critical))
+
+
+def _describe(study: Path, critical: float | None) -> str:
+    """Return what ``cornercase show`` says of a study; an empty text if it was removed or has no results."""
+    if not study.exists():
+        return ""
+    # A summary alone needs no sentences.
+    from cornercase.report._sentences import iter_sentences
+
+    with open_study(study, readonly=True, critical=critical) as opened, opened.snapshot():
+        return "\n".join(iter_sentences(opened))
