@@ -28,7 +28,7 @@ _BEST: Final = "use `most_critical(1)`."
 _ATTRIBUTE_SYNONYMS: Final = {
     "best_params": _BEST,
     "best_trial": _BEST,
-    "best_trials": "those of the Pareto front are in `summary()`.",
+    "best_trials": "use `pareto_front()`.",
     "best_value": _BEST,
     "create_study": "use `Study.create`.",
     "optimize": "use `explore`.",
