@@ -14,7 +14,7 @@ _SAME_TIME: Final = 0.05
 def describe_replies(counts: ReplyCounts, ego: str, other: str) -> tuple[str, tuple[str, ...]]:
     """Describe them in a text, and in points."""
     sentences = [*_describe_earlier_braking(counts, ego, other), *_describe_braking(counts, ego, other)]
-    return " ".join(sentences), tuple(_describe_alternatives(counts, other))
+    return " ".join(sentences), tuple(_describe_alternatives(counts, ego, other))
 
 
 def _describe_earlier_braking(counts: ReplyCounts, ego: str, other: str) -> Iterator[str]:
@@ -76,7 +76,7 @@ def _describe_reaction(counts: ReplyCounts) -> str:
     return f"; the median{few} begins {when}" if counts.n_with_braking > 1 else f", {when}"
 
 
-def _describe_alternatives(counts: ReplyCounts, other: str) -> Iterator[str]:
+def _describe_alternatives(counts: ReplyCounts, ego: str, other: str) -> Iterator[str]:
     if counts.n_driving_on:
         avoided = _count_of(counts.n_avoided_by_waiting, counts.n_driving_on)
         yield f"Waiting where it stopped, instead of driving on, avoids {avoided}."
@@ -87,8 +87,8 @@ def _describe_alternatives(counts: ReplyCounts, other: str) -> Iterator[str]:
             f" collision can be seen coming, avoids {avoided}."
         )
     yield (
-        "Whoever is at fault, a better driver may avoid them: search again with the same seed and another driver, such"
-        " as --driver EGO=cautious, and compare."
+        "Whoever is at fault, a better driver may avoid them: search again with the same seed and another driver, by"
+        f" --driver {ego}=NAME, and compare."
     )
     yield (
         "What would have avoided them is computed from the recordings, not simulated:"
