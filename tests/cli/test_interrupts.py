@@ -58,7 +58,7 @@ setattr(module, name, asked)
 main()
 """
 
-SUMMARIZE = "cornercase.report._summary:summarize"
+SUMMARIZE = "cornercase.report._summarize:summarize"
 SHOW = ("show", "--all")
 
 

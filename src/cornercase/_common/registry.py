@@ -369,8 +369,6 @@ def parse_options(
         if key in options:
             raise InputError(f"The {kind} '{name}:{text}' has the option '{key}' twice; give it once.")
         if key not in declared:
-            if key in all_declared:
-                raise InputError(f"The {kind} '{name}' takes '{key}' on its own, not after the colon.")
             if declared:
                 advice = suggest_name(key, declared)
             elif all_declared:

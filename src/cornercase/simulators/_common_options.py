@@ -16,7 +16,6 @@ from cornercase.simulators._registry import SIMULATORS
 from cornercase.simulators._run_options import SIMULATION_OPTIONS
 
 _DEFAULT_OPTIONS: Final = {name: SIMULATION_OPTIONS[name].default for name in COMMON_OPTIONS}
-_OPTIONS_IN_TEXT: Final = set(COMMON_OPTIONS) - {"drivers"}
 
 
 def select_declared_options(name: str, simulator: type[Simulator], options: Mapping[str, Any]) -> dict[str, Any]:
@@ -69,12 +68,17 @@ def split_common_options(
 def _split_text(text: str) -> tuple[str, dict[str, Any]]:
     """Return the text of a simulator without the options that all have, and the values of these.
 
-    Drivers are no texts, and stay in the text, which then is refused.
+    `InputError` if it has drivers, which are no texts.
     """
     name, _, after = text.partition(":")
+    if name not in SIMULATORS or SIMULATORS.takes_text(name):
+        return text, {}
     parts = after.split(",")
-    common = [part for part in parts if part.partition("=")[0].strip() in _OPTIONS_IN_TEXT]
-    if not common or name not in SIMULATORS or SIMULATORS.takes_text(name):
+    keys = {part: part.partition("=")[0].strip() for part in parts}
+    if "drivers" in keys.values():
+        raise InputError(f"The simulator '{name}' takes 'drivers' on its own, not after the colon.")
+    common = [part for part in parts if keys[part] in COMMON_OPTIONS]
+    if not common:
         return text, {}
     values = parse_options("simulator", name, SIMULATORS.get_factory(name), ",".join(common))
     rest = [part for part in parts if part not in common]

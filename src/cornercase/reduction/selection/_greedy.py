@@ -19,8 +19,8 @@ from cornercase.reduction._random_selections import submatrix
 from cornercase.reduction._selection_state import SIMILAR_SHARE, Selected, Selection
 
 _MAX_EXCHANGED: Final = 2000
-# While few scenarios are selected, each candidate is the nearest one for very many others, and most time is spent. So of
-# many scenarios, an even sample of at least this size chooses the first ones, up to this share of all scenarios.
+# While few scenarios are selected, each candidate is the nearest one for very many others, and most time is spent. So
+# of many scenarios, an even sample of at least this size chooses the first ones, up to this share of all.
 _MIN_SAMPLE: Final = 8000
 _SAMPLED: Final = 4
 _FIRST_SHARE: Final = 1.0 / 32.0
