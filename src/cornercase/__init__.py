@@ -26,4 +26,6 @@ def __getattr__(name: str) -> object:
     try:
         return _get_public_name(name)
     except AttributeError:
+        if name in __all__:
+            raise
         raise _unknown_attribute("module 'cornercase'", name) from None

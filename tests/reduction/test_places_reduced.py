@@ -114,3 +114,31 @@ def test_a_study_of_many_is_reduced_within_a_memory(tmp_path, monkeypatch):
     monkeypatch.setattr(reduce_module, "_BYTES_PER_SCENARIO", 10**8)
     with pytest.raises(InputError, match=r"distances of \d+ scenarios need .* more than `memory` 500 MB"):
         reduce(path, tmp_path / "kept", size=8, memory="500 MB")
+
+
+def test_the_first_of_many_scenarios_are_chosen_from_every_fourth_and_represent_about_as_well():
+    rng = np.random.default_rng(7)
+    points = rng.random((2400, 3))
+    distances, labels = [EmbeddedDistances(points)], np.zeros(2400, dtype=int)
+    sampled, whole = (
+        [one.index for one in select_scenarios(points, distances, labels, size=100, sampled_from=count)]
+        for count in (100, 2400)
+    )
+    assert len(set(sampled)) == len(set(whole)) == 100
+    assert sampled != whole
+    first, rest = sampled[:75], sampled[75:]
+    assert all(index % 4 == 0 for index in first[21:])
+    assert any(index % 4 for index in rest)
+    left = [distances[0].distances_to_nearest(np.array(chosen)).mean() for chosen in (sampled, whole)]
+    assert left[0] < 1.05 * left[1]
+    few = [one.index for one in select_scenarios(points, distances, labels, size=10, sampled_from=100)]
+    assert len(set(few)) == 10
+
+
+def test_alike_scenarios_by_one_aspect_are_told_apart_by_another():
+    rng = np.random.default_rng(8)
+    points = rng.random((300, 2))
+    same = EmbeddedDistances(np.zeros((300, 2)))
+    chosen = select_scenarios(points, [same, EmbeddedDistances(points)], np.zeros(300, dtype=int), size=30)
+    assert len({one.index for one in chosen}) == 30
+    assert len(select_scenarios(points, [same], np.zeros(300, dtype=int), size=30)) == 1

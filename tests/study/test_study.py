@@ -79,7 +79,9 @@ def test_what_is_put_in_comes_out(study):
                 reader.recording(absent)
         with pytest.raises(InputError, match=r"has no scenario 99; its scenarios are 1 to 3\.$"):
             reader.recording(99)
-        with pytest.raises(InputError, match=r"^`scenario` 'first': give the id of a scenario, a whole number; its sc"):
+        with pytest.raises(
+            InputError, match=r"^`scenario` 'first': give the id of a scenario, a whole number from 1 on; its sc"
+        ):
             reader.course(cast("Any", "first"), "distance")
         with pytest.raises(InputError, match="no course of the metric 'pet'"):
             reader.scores("pet")

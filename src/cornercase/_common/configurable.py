@@ -191,14 +191,15 @@ def _remember_options(constructor: Callable[..., None]) -> Callable[..., None]:
 
     The error of an unknown argument says which one is meant.
     """
-    parameters = signature(constructor).parameters
-    takes_all = any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters.values())
+    parameters = list(signature(constructor).parameters.values())
+    takes_all = any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters)
+    names = [parameter.name for parameter in parameters[1:]]
 
     @wraps(constructor)
     def construct(self: Configurable, *positional: Any, **options: Any) -> None:
         cls = type(self)
-        if not takes_all and not options.keys() <= parameters.keys():
-            refuse_unknown(cls.__name__, declared_options(cls), options)
+        if not takes_all:
+            refuse_unknown(cls.__name__, names, options)
         # A constructor may call that of its base class, which is wrapped too.
         if _GIVEN_OPTIONS in vars(self):
             constructor(self, *positional, **options)

@@ -13,9 +13,9 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 _WORKERS: Final = "give `runs=Runs(workers=…)`."
 # Arguments by what another library calls them: the option that takes their place, and what to say if it has another
-# meaning. Without an option, what is said is true of every function.
+# meaning.
 _ARGUMENT_SYNONYMS: Final = (
-    ("direction", "", "each metric says whether low or high scores are critical."),
+    ("direction", "metrics", "each metric says whether low or high scores are critical."),
     ("drivers", "simulator", "the simulator holds them: give `simulator=Builtin(drivers={…})`."),
     ("n_jobs", "runs", _WORKERS),
     ("n_jobs", "workers", ""),
@@ -25,7 +25,7 @@ _ARGUMENT_SYNONYMS: Final = (
     ("workers", "runs", _WORKERS),
 )
 _BEST: Final = "use `most_critical(1)`."
-_ATTRIBUTE_SYNONYMS: Final = {
+ATTRIBUTE_SYNONYMS: Final = {
     "best_params": _BEST,
     "best_trial": _BEST,
     "best_trials": "use `pareto_front()`.",
@@ -37,12 +37,10 @@ _ATTRIBUTE_SYNONYMS: Final = {
 }
 
 
-def unknown_attribute(owner: str, name: str, instance: object = None) -> AttributeError:
+def unknown_attribute(owner: str, name: str) -> AttributeError:
     """Return the error for an attribute that is missing, which says what is meant by a word of another library."""
-    hint = _ATTRIBUTE_SYNONYMS.get(name)
-    message = f"{owner} has no attribute '{name}'{'' if hint is None else f'; {hint}'}"
-    # Of `instance` Python suggests similar names.
-    return AttributeError(message, name=name, obj=instance)
+    hint = ATTRIBUTE_SYNONYMS.get(name)
+    return AttributeError(f"{owner} has no attribute '{name}'{'' if hint is None else f'; {hint}'}", name=name)
 
 
 def refuse_unknown(
@@ -60,7 +58,7 @@ def refuse_unknown(
 
 def _describe_argument(name: str, options: Collection[str], other_names: Mapping[str, str]) -> str:
     for word, option, hint in (*_ARGUMENT_SYNONYMS, *((word, option, "") for word, option in other_names.items())):
-        if word == name and (not option or option in options):
+        if word == name and option in options:
             return hint or f"did you mean '{option}'?"
     return suggest_name(name, options) if options else "it takes none."
 

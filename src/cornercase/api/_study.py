@@ -16,7 +16,7 @@ from cornercase._common.memory import DEFAULT_MEMORY
 from cornercase._common.progress import can_show_bar
 from cornercase._common.text.notebook_html import render_html, render_html_table
 from cornercase._common.typing import FloatArray
-from cornercase._common.unknown_names import unknown_attribute
+from cornercase._common.unknown_names import ATTRIBUTE_SYNONYMS, unknown_attribute
 from cornercase._common.validation import check_int, check_path
 from cornercase.api._simulator_fields import simulator_fields
 from cornercase.api._written_page import Page
@@ -246,7 +246,10 @@ class Study(PathLike[str]):
     if not TYPE_CHECKING:
 
         def __getattr__(self, name: str) -> Any:
-            raise unknown_attribute("'Study' object", name, self)
+            if name in ATTRIBUTE_SYNONYMS:
+                raise unknown_attribute("'Study' object", name)
+            # Also raises the error of a property.
+            return object.__getattribute__(self, name)
 
     def __enter__(self) -> Self:
         return self

@@ -40,7 +40,8 @@ from cornercase.study._run_rates import MIN_DECISIVE_RUNS
 from cornercase.study._scenario_file import find_explored_scenario
 from cornercase.study._stored_paths import stored_path
 
-_NUMERIC_OPTION: Final = re.compile(r"\w+=(true|false|[-+.\deE]+)")
+_NUMERIC_OPTION: Final = re.compile(r"\w+=(true|false|[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?)")
+_NUMBER_WITH_UNIT: Final = re.compile(r"\s*[-+]?[\d.]+\s*[^\W\d]")
 _SIMULATOR_HINT: Final = "give it again with `simulator`"
 
 
@@ -75,7 +76,7 @@ class ExplorationConfig(ExplorationOptions):
         OPTIMIZERS.check_own_name(given["optimizer"])
         if not is_built_in(given["optimizer"]):
             require_storable_options(given["optimizer"])
-        if isinstance(self.critical, str) and any(map(str.isdigit, self.critical)):
+        if isinstance(self.critical, str) and _NUMBER_WITH_UNIT.match(self.critical) and self.metrics:
             raise self._threshold_with_unit()
         for name, option in CONFIG_OPTIONS.items():
             object.__setattr__(self, name, option.check(given[name]))

@@ -10,7 +10,7 @@ from typing import Final, Literal
 import numpy as np
 
 from cornercase._common.typing import FloatArray, IntArray
-from cornercase.clustering._embedding import Distances, EmbeddedDistances
+from cornercase.clustering._embedding import Distances
 
 # Scenarios are similar within this share of the largest distance.
 SIMILAR_SHARE: Final = 1e-3
@@ -43,7 +43,6 @@ class Selection:
         self._extents = [max(float(matrix.max()), 1e-300) for matrix in distances]
         self.selected: list[Selected] = []
         self._size = size
-        self._is_selected = np.zeros(len(distances[0]), dtype=np.bool_)
 
     @property
     def indices(self) -> list[int]:
@@ -63,7 +62,7 @@ class Selection:
     def copy(self) -> Selection:
         """Copy the selection, so that both copies can be continued in different ways."""
         other = copy(self)
-        other.selected, other._is_selected = self.selected[:], self._is_selected.copy()
+        other.selected = self.selected[:]
         return other
 
     @property
@@ -76,14 +75,12 @@ class Selection:
         if self.is_complete or self._is_similar_to_selected(scenario.index):
             return False
         self.selected.append(scenario)
-        self._is_selected[scenario.index] = True
         return True
 
     def _is_similar_to_selected(self, index: int) -> bool:
-        candidates, first = self.indices, self._distances[0]
-        if isinstance(first, EmbeddedDistances):
-            nearby = first.rows_within(index, SIMILAR_SHARE * self._extents[0])
-            candidates = nearby[self._is_selected[nearby]].tolist()
-        pairs = np.ix_([index], candidates)
-        scaled = [matrix[pairs][0] / extent for matrix, extent in zip(self._distances, self._extents, strict=True)]
-        return bool((np.max(scaled, axis=0) <= SIMILAR_SHARE).any())
+        candidates = np.array(self.indices, dtype=np.int64)
+        # Few are left after the first clustering.
+        for matrix, extent in zip(self._distances, self._extents, strict=True):
+            if len(candidates):
+                candidates = candidates[matrix[np.ix_(np.array([index]), candidates)][0] / extent <= SIMILAR_SHARE]
+        return bool(len(candidates))

@@ -833,7 +833,7 @@ class StudyFile:
             return check_int("scenario", scenario, maximum=_MAX_ID)
         ids = describe_ids([row.id for row in self.rows()])
         raise InputError(
-            f"`scenario` {validation.repr_short(scenario)}: give the id of a scenario, a whole number; {ids}."
+            f"`scenario` {validation.repr_short(scenario)}: give the id of a scenario, a whole number from 1 on; {ids}."
         )
 
     def _not_run(self, scenario: int) -> InputError:
@@ -1292,7 +1292,7 @@ class StudyFile:
 def describe_ids(ids: Collection[int]) -> str:
     """Say which scenarios a study has."""
     last = max(ids, default=0)
-    return f"its scenarios are 1 to {last}" if last else "it has none yet"
+    return f"its scenarios are 1 to {last}" if last > 1 else "its only scenario is 1" if last else "it has none yet"
 
 
 @contextmanager

@@ -24,7 +24,8 @@ def fill_nearest_rows(columns, cells, result):
     nearest, nearest_squares = np.empty(n_nearest, dtype=np.int64), np.empty(n_nearest)
     for j in range(len(columns)):
         fill_squares_to_centers(columns[j], cells.centers, to_centers)
-        nearest_squares[:] = np.inf
+        # A column that is not finite is near to none, and gets row 0.
+        nearest[:], nearest_squares[:] = 0, np.inf
         start = to_centers.argmin()
         # Neighbours in the order of cells are mostly near, too, so that nearly all others are skipped.
         for step in range(n_cells):

@@ -30,7 +30,7 @@ def fill_nearest_distances(rows, columns, nearest_rows, choices, result):
             if nearest >= 0:
                 result[draw, j] = _squared_distance(rows[nearest], columns[j], np.inf)
                 continue
-            # None of the nearest rows is in the choice, which is rare.
+            # None of the nearest rows is in the choice.
             smallest = np.inf
             for i in choices[draw]:
                 smallest = min(smallest, _squared_distance(rows[i], columns[j], smallest))

@@ -10,7 +10,7 @@ import numpy as np
 
 from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
-from cornercase.clustering._embedding import Distances, EmbeddedDistances
+from cornercase.clustering._embedding import Distances
 from cornercase.reduction._baselines import Baselines
 from cornercase.reduction._cluster_shapes import ShapedCluster, classify_cluster_shapes, divide_in_proportion
 from cornercase.reduction._coverage_sums import CoverageSums, SetComposition
@@ -20,9 +20,9 @@ from cornercase.reduction._selection_state import SIMILAR_SHARE, Selected, Selec
 
 _MAX_EXCHANGED: Final = 2000
 # While few scenarios are selected, each candidate is the nearest one for very many others, and most time is spent. So
-# of many scenarios, an even sample of at least this size chooses the first ones, up to this share of all.
-_MIN_SAMPLE: Final = 8000
-_SAMPLED: Final = 4
+# of more scenarios than this, every fourth may be selected first, up to this share of all.
+_SAMPLED_FROM: Final = 16_000
+_SAMPLED_PART: Final = 4
 _FIRST_SHARE: Final = 1.0 / 32.0
 
 # Each is best for some studies; the first one that beats the baselines is taken.
@@ -44,6 +44,7 @@ def select_scenarios(
     size: int | None = None,
     cover: float | None = None,
     shaped_clusters: Sequence[ShapedCluster] | None = None,
+    sampled_from: int = _SAMPLED_FROM,
 ) -> tuple[Selected, ...]:
     """Select scenarios that represent the clusters, then scenarios that these leave uncovered.
 
@@ -55,9 +56,9 @@ def select_scenarios(
     cubed distances to the nearest selected scenario, in units of the usual distance between neighbours in a set of this
     size. The cube gives large gaps more weight than many small ones. Scenarios of critical clusters count four times,
     the first clustering twice. Scenarios are added greedily (G. L. Nemhauser, L. A. Wolsey, M. L. Fisher, "An analysis
-    of approximations for maximizing submodular set functions", 1978). Of more than 8,000 scenarios, the first ones, up
-    to a 32nd of all, come from an even sample: a quarter, or 8,000. Then, with up to 2,000 scenarios, each is exchanged
-    for another one if that lowers the sum.
+    of approximations for maximizing submodular set functions", 1978). Of more than `sampled_from` scenarios, the first
+    ones, up to a 32nd of all, are selected from every fourth scenario. Then, with up to 2,000 scenarios, each is
+    exchanged for another one if that lowers the sum.
 
     The set is compared with 100 random selections in each clustering, by the largest and the mean distance to the
     nearest selected scenario. In the critical clusters it is compared with k-medoids of the first clustering. With up
@@ -100,7 +101,7 @@ def select_scenarios(
         cluster.shape.cluster: cluster
         for cluster in (classify_cluster_shapes(points, labels) if shaped_clusters is None else shaped_clusters)
     }
-    task = _SelectionTask(points, distances, labels, critical_clusters, clusters, shapes, size)
+    task = _SelectionTask(points, distances, labels, critical_clusters, clusters, shapes, size, sampled_from)
     baselines = Baselines(distances, labels, critical_clusters, size) if len(labels) <= _MAX_EXCHANGED else None
     best, smallest_shortfall = base.selected, np.inf
     for composition in _COMPOSITIONS:
@@ -150,6 +151,7 @@ class _SelectionTask:
     clusters: Sequence[int]
     shaped_by_cluster: Mapping[int, ShapedCluster]
     size: int
+    sampled_from: int
 
     def complete(self, base: Selection, composition: SetComposition) -> Selection:
         """Return a copy of the selection `base`, completed by archetypes and by scenarios that are still uncovered."""
@@ -174,8 +176,9 @@ class _SelectionTask:
     def _add_uncovered(self, selection: Selection, composition: SetComposition) -> None:
         """Add scenarios that minimise the coverage sum until enough are selected."""
         n_fixed = len(selection.selected)
-        if len(self.labels) > _MIN_SAMPLE and all(isinstance(matrix, EmbeddedDistances) for matrix in self.distances):
-            self._add_from_sample(selection, composition)
+        n_first = min(self.size, int(_FIRST_SHARE * len(self.labels)))
+        if len(self.labels) > self.sampled_from and n_fixed < n_first:
+            self._add_from_sample(selection, composition, n_first)
         sums = CoverageSums(self.distances, np.isin(self.labels, self.critical_clusters), composition, self.size)
         search = sums.search_greedily(selection.indices)
         while not selection.is_complete and (best := search.pop_best_candidate()) is not None:
@@ -187,17 +190,14 @@ class _SelectionTask:
                 Selected(index, int(self.labels[index]), "gap") for index in indices[n_fixed:]
             ]
 
-    def _add_from_sample(self, selection: Selection, composition: SetComposition) -> None:
-        """Add the first scenarios: those of an even sample that minimise the coverage sum of the sample."""
-        n = len(self.labels)
-        size = min(self.size, int(_FIRST_SHARE * n))
-        sample = np.linspace(0, n - 1, max(_MIN_SAMPLE, n // _SAMPLED)).astype(np.int64)
-        rows = np.union1d(sample, selection.indices)
+    def _add_from_sample(self, selection: Selection, composition: SetComposition, size: int) -> None:
+        """Add scenarios of an even sample that minimise its coverage sum, until `size` are selected."""
+        rows = np.union1d(np.arange(0, len(self.labels), _SAMPLED_PART), selection.indices)
         sums = CoverageSums(
             [submatrix(matrix, rows, rows) for matrix in self.distances],
             np.isin(self.labels[rows], self.critical_clusters),
             composition,
-            max(size, 1),
+            size,
         )
         search = sums.search_greedily(np.searchsorted(rows, selection.indices).tolist())
         while len(selection.selected) < size and (best := search.pop_best_candidate()) is not None:
