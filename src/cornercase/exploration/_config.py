@@ -34,6 +34,7 @@ from cornercase.simulators._base import COMMON_OPTIONS
 from cornercase.simulators._common_options import select_declared_options, split_common_options
 from cornercase.stop._stop_rules import StopCriterion, resolve_stop_rules
 from cornercase.study import StudyFile, StudyMeta
+from cornercase.study._import_recordings import IMPORTED_SIMULATOR
 from cornercase.study._meta import MAX_AUDIT_FRACTION, metric_fields
 from cornercase.study._objective import Objective
 from cornercase.study._run_rates import MIN_DECISIVE_RUNS
@@ -284,7 +285,7 @@ def simulator_from_study(meta: StudyMeta, file: Path) -> Simulator:
 def _simulator_to_continue(meta: StudyMeta, file: Path) -> str:
     """Return the name of a study's simulator, with its options if all are numbers: texts could name programs."""
     name, _, options = meta.simulator.partition(":")
-    if name == "imported":
+    if name == IMPORTED_SIMULATOR:
         raise InputError(f"{file}: contains imported recordings, so no further scenario can be run.")
     if name not in SIMULATORS:
         raise InputError(
