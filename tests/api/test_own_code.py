@@ -344,3 +344,55 @@ def test_a_metric_cannot_change_a_recording(problem, tmp_path):
 def test_an_option_that_a_study_cannot_compare_is_refused(problem):
     with pytest.raises(cc.InputError, match="Adjustable: its option `weights` is of type list, which a study cannot"):
         cc.Problem(problem.scenario, ego="Ego", other="Pedestrian", metrics=[Adjustable([1, 2])])
+
+
+class Curve(cc.Driver):
+    """Follows a list of accelerations, which a study cannot compare."""
+
+    def __init__(self, gains: Any = (1.0,)) -> None:
+        self.gains = gains
+
+    def acceleration(self, situation):
+        return np.where(situation.speed < 5.0, self.gains[0], 0.0)
+
+
+class Configured(cc.SystemUnderTest):
+    def __init__(self, config: Any = None) -> None:
+        self.config = config or {}
+
+    def step(self, view, dt):
+        return self.config.get("a", 0.0)
+
+
+class SaysItsCurve(Curve):
+    def __init__(self, gains: Any = (1.0,)) -> None:
+        super().__init__(gains)
+        self.settings = {"gains": list(gains)}
+
+
+REFUSED_DRIVERS = [
+    (Curve([3.0]), r"Curve: its option `gains` is of type list, which a study cannot store and compare; .*`settings`"),
+    (Configured({"a": 1.0}), "Configured: its option `config` is of type dict, which a study cannot store and compare"),
+]
+
+
+@pytest.mark.parametrize(("driver", "expected"), REFUSED_DRIVERS)
+def test_a_driver_with_an_option_that_a_study_cannot_compare_is_refused(driver, expected, problem, tmp_path):
+    simulator = Builtin(drivers={"Ego": driver})
+    with pytest.raises(cc.InputError, match=expected):
+        cc.Study.create(tmp_path / "study.db", problem, simulator)
+    cc.Study.create(tmp_path / "study.db", problem, Builtin(drivers={"Ego": type(driver)()})).explore("sobol", budget=4)
+    with pytest.raises(cc.InputError, match=expected):
+        cc.Study.open(tmp_path / "study.db", simulator)
+    with pytest.raises(cc.InputError, match=expected):
+        cc.run_suite(X.parent, tmp_path / "run.db", ego="Ego", other="*", drivers={"Ego": driver})
+    assert isinstance(cc.simulate(X, drivers={"Ego": driver}, duration=1.0), cc.Recording)
+
+
+def test_a_driver_that_says_its_list_in_its_settings_is_compared(problem, tmp_path):
+    study = cc.Study.create(tmp_path / "study.db", problem, Builtin(drivers={"Ego": SaysItsCurve([3.0])}))
+    study.explore("sobol", budget=4)
+    opened = cc.Study.open_or_create(study.path, problem, Builtin(drivers={"Ego": SaysItsCurve([3.0])}))
+    assert len(opened) == 4
+    with pytest.raises(cc.InputError, match=r"gains=\[3.0\], sha256 .* in the study, .*gains=\[2.0\]"):
+        cc.Study.open_or_create(study.path, problem, Builtin(drivers={"Ego": SaysItsCurve([2.0])}))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import fields, is_dataclass
 from functools import wraps
 from inspect import Parameter, signature
@@ -112,14 +112,19 @@ def describe_as_text(configured: Configurable) -> str:
     return f"{base}:{','.join(_format_options(configured, options, format_option_value))}" if options else base
 
 
-def require_storable_options(configured: Configurable) -> None:
-    """Raise `InputError` for an option that the text of an object leaves out, as a study could not compare it."""
-    stored = {*plain_options(configured), *configured.options_outside_name}
+def require_storable_options(
+    configured: Configurable, described: Collection[str] = (), hint: str = "give numbers, texts, True or False"
+) -> None:
+    """Raise `InputError` for an option that the text of an object leaves out, as a study could not compare it.
+
+    `described` are options that the study compares in another way; `hint` says what to do.
+    """
+    stored = {*plain_options(configured), *configured.options_outside_name, *described}
     for name, value in given_options(configured).items():
         if name not in stored:
             raise InputError(
                 f"{type(configured).__qualname__}: its option `{name}` is of type {type(value).__name__}, which a study"
-                " cannot store and compare; give numbers, texts, True or False."
+                f" cannot store and compare; {hint}."
             )
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from cornercase.drivers._description import require_storable_drivers
+from cornercase.drivers._resolve import check_drivers
 from cornercase.simulators import SIMULATORS, Simulator
 from cornercase.simulators._base import COMMON_OPTIONS
 from cornercase.simulators._common_options import split_common_options
@@ -13,9 +15,10 @@ def simulator_fields(simulator: Simulator | str) -> dict[str, Any]:
     """Return the settings of an exploration that a simulator object contains, by name.
 
     These are the simulator, and, if they were given, time step, duration, effect of collisions, and drivers. Raises
-    `InputError` for an unknown name, or if the argument is no simulator.
+    `InputError` for an unknown name, if the argument is no simulator, or for a driver that no study can describe.
     """
     stripped, options = split_common_options(simulator, dict.fromkeys(COMMON_OPTIONS))
     if isinstance(stripped, str):
         SIMULATORS.get_factory(stripped.partition(":")[0])
+    require_storable_drivers(check_drivers(options["drivers"]))
     return {"simulator": stripped, **{name: value for name, value in options.items() if value is not None}}

@@ -139,7 +139,8 @@ class Driver(Configurable, ABC):
     settings : dict
         Everything that decisions depend on, as plain JSON values. It is stored with a study, which can only be resumed
         with the same settings. The default is the name of the class. Options of the constructor that are numbers, texts
-        or booleans are stored, too.
+        or booleans are stored, too; a study refuses any other option, such as a list or an array, unless `settings` has
+        an entry of its name, as in ``self.settings = {"gains": [1.0, 2.0]}``.
     mutations : tuple of Mutation, default empty
         What can be wrong in it, for `cornercase reduce --kill-mutants` and `cornercase test --mutants`.
 

@@ -11,14 +11,19 @@ from pathlib import Path
 from typing import Any, Final
 from weakref import WeakKeyDictionary
 
-from cornercase._common.configurable import Configurable, format_option_value, plain_options
+from cornercase._common.configurable import (
+    Configurable,
+    format_option_value,
+    plain_options,
+    require_storable_options,
+)
 from cornercase._common.errors import InputError
 from cornercase._common.plugin_errors import is_built_in, unwrap_factory
 from cornercase.drivers._base import Driver
 from cornercase.drivers._equipment import EquippedDriver
 from cornercase.drivers._preset_name import nearest_preset_name
 from cornercase.drivers._registry import DRIVERS, SEPARATOR, is_registered_driver, split_spec
-from cornercase.drivers._system_under_test import ScalarFunction
+from cornercase.drivers._system_under_test import ScalarFunction, SystemUnderTest
 from cornercase.drivers.references.r157._models import REFERENCES
 
 # Attribute in which a driver created by name stores its name and options.
@@ -88,7 +93,19 @@ def serialize_driver(driver: str | Driver) -> str | dict[str, Any]:
     return description
 
 
-def _unwrap(driver: Driver) -> Any:
+def require_storable_drivers(drivers: Mapping[str, object]) -> None:
+    """Raise `InputError` for a user's own driver with an option that a study can neither store nor compare.
+
+    What the driver's own `settings` name is stored with them.
+    """
+    for driver in drivers.values():
+        own = _unwrap(driver.driver if isinstance(driver, EquippedDriver) else driver)
+        if isinstance(own, Driver | SystemUnderTest) and not is_built_in(own):
+            hint = "give numbers, texts, True or False, or let the driver's `settings` say it under this name"
+            require_storable_options(own, own.settings, hint)
+
+
+def _unwrap(driver: object) -> Any:
     """Return the object of the user that a driver hands the scenarios to, or the driver itself."""
     return driver.prototype if isinstance(driver, ScalarFunction) else driver
 

@@ -71,7 +71,8 @@ class SystemUnderTest(Configurable, ABC):
     ----------
     settings : dict
         Everything that decisions depend on, as plain JSON values; by default the class. Options of the constructor that
-        are numbers, texts or booleans are stored with a study in any case.
+        are numbers, texts or booleans are stored with a study in any case; it refuses any other option, such as a
+        list or a dict, unless `settings` has an entry of its name, as in ``self.settings = {"config": {"gain": 2.0}}``.
     mutations : tuple of Mutation, default empty
         What can be wrong in it, for `cornercase reduce --kill-mutants` and `cornercase test --mutants`.
 

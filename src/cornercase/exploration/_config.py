@@ -14,7 +14,12 @@ from cornercase._common.errors import InputError
 from cornercase._common.plugin_errors import is_built_in
 from cornercase._common.text.sanitize import remove_folders
 from cornercase._common.validation import check_mapping
-from cornercase.drivers._description import driver_command_option, format_driver, iter_driver_changes
+from cornercase.drivers._description import (
+    driver_command_option,
+    format_driver,
+    iter_driver_changes,
+    require_storable_drivers,
+)
 from cornercase.drivers._resolve import DriverLike, check_drivers, may_be_named_in_file
 from cornercase.exploration._explore_options import (
     CONFIG_OPTIONS,
@@ -89,6 +94,7 @@ class ExplorationConfig(ExplorationOptions):
         if self.audit > MAX_AUDIT_FRACTION:
             raise InputError(f"`audit` {self.audit:g}: give a fraction of the scenarios up to {MAX_AUDIT_FRACTION:g}.")
         object.__setattr__(self, "drivers", check_drivers(self.drivers))
+        require_storable_drivers(self.drivers)
         object.__setattr__(self, "max_repeats", self._decisive_max_repeats())
 
     def _threshold_with_unit(self) -> InputError:

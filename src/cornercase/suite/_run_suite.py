@@ -17,6 +17,7 @@ from cornercase._common.text.sanitize import escape_control_characters, remove_f
 from cornercase._common.validation import check_bool, check_mapping, check_str, check_str_sequence
 from cornercase._common.validation import check_path as path_argument
 from cornercase.drivers import Driver
+from cornercase.drivers._description import require_storable_drivers
 from cornercase.drivers._resolve import DriverLike, check_drivers, check_reference_driver, resolve_driver
 from cornercase.exploration._explore_options import OPTIONS
 from cornercase.metrics import METRICS, Metric
@@ -351,6 +352,7 @@ def _choose_simulator(suite: SuiteContents, requested: str | Simulator | None) -
 
 def _resolve_drivers(suite: SuiteContents, requested: Mapping[str, DriverLike] | None) -> dict[str, str | Driver]:
     drivers = {entity: resolve_driver(driver) for entity, driver in check_drivers(requested).items()}
+    require_storable_drivers(drivers)
     for entity, command in suite.custom_drivers.items():
         if entity not in drivers:
             name = escape_control_characters(command)
