@@ -304,7 +304,10 @@ def test_each_band_of_criticality_is_represented(explored, tmp_path):
         reduce(path, tmp_path / "none", by="bands:nope")
 
 
-def test_another_scenario_file_than_the_one_that_was_explored_is_refused(explored, tmp_path):
+@pytest.mark.usefixtures("no_cache")
+def test_another_scenario_file_than_the_one_that_was_explored_is_refused(tmp_path, monkeypatch):
+    # No other copy is found from here.
+    monkeypatch.chdir(tmp_path)
     source = shutil.copytree(X.parent, tmp_path / "scenario")
     study = tmp_path / "s.db"
     common = ["--ego", "Ego", "--other", "Pedestrian", "--metric", "wttc", "--optimizer", "sobol", "--budget", "12"]

@@ -17,9 +17,10 @@ from pathlib import Path
 
 import pytest
 
-from cornercase import SimulationError
+from cornercase import InputError, SimulationError
 from cornercase._common.text.sanitize import remove_folders
 from cornercase.study import StudyFile
+from cornercase.study._scenario_file import find_explored_scenario
 from cornercase.study._stored_paths import resolve_stored_path, stored_path
 from helpers.checksums import changed
 from helpers.command_line import SPACE, X, cornercase
@@ -289,3 +290,41 @@ def test_42_s6_a_study_with_an_absolute_path_goes_on(apart, tmp_path):
     search = ("explore", file, "--space", file.with_name(SPACE.name), *SEARCH, "--budget", "14", "-o", apart)
     done = cornercase(*search)
     assert done.returncode == 0, done.stderr
+
+
+def found_path(study: StudyFile) -> Path:
+    found = find_explored_scenario(study, search_stored_path=True)
+    assert found is not None
+    return found.path
+
+
+def edit(file: Path) -> None:
+    file.write_text(file.read_text().replace("<FileHeader ", "<!-- new --><FileHeader ", 1))
+
+
+@pytest.mark.usefixtures("no_cache")
+def test_a_changed_file_of_the_same_name_does_not_hide_the_one_that_was_explored(tmp_path, monkeypatch):
+    """The study does not hold the path, but this machine remembers it; a copy lies one folder below the study."""
+    (explored, here, other) = (tmp_path / "a" / "scenarios", tmp_path / "b" / "here", tmp_path / "c" / "other")
+    for folder in (explored, here / "sub", other):
+        shutil.copytree(X.parent, folder)
+    monkeypatch.setattr("cornercase.study._stored_paths._MAX_PARENT_STEPS", 0)
+    monkeypatch.chdir(here)
+    study = here / "s.db"
+    search = ("explore", explored / X.name, "--space", explored / SPACE.name, *SEARCH)
+    assert cornercase(*search, "-o", study).returncode == 0
+    with StudyFile.open(study) as file:
+        assert found_path(file) == explored / X.name
+        edit(here / "sub" / X.name)
+        assert found_path(file) == explored / X.name
+        # The current folder is the last.
+        shutil.rmtree(explored)
+        monkeypatch.chdir(other)
+        assert found_path(file) == Path(X.name)
+        edit(other / X.name)
+        with pytest.raises(
+            InputError, match=rf"{here / 'sub' / X.name}: the file, .* \(so have 1 more of this name\); re"
+        ):
+            found_path(file)
+        shutil.copytree(X.parent, explored)
+        assert found_path(file) == explored / X.name

@@ -170,8 +170,9 @@ class Study(PathLike[str]):
         simulator : Simulator or str, optional
             Simulator that runs further scenarios, with all its options and drivers; by default that of the study.
         scenario : path, optional
-            OpenSCENARIO file that was explored. By default it is searched at the path stored in the study, beside the
-            study and in the current folder, and recognized by its fingerprint.
+            OpenSCENARIO file that was explored. By default it is searched at the path stored in the study, where this
+            machine explored it, beside the study and up to two folders below, and likewise from the current folder. The
+            first file with the fingerprint that the study holds is taken; files with another one are passed over.
 
         Returns
         -------

@@ -72,12 +72,12 @@ def _describe_missing_scenario(study: StudyFile, name: str) -> str:
     meta = study.meta
     default = f"The road is not drawn, as the scenario file {name} does not lie beside the study as it was."
     try:
-        source = find_scenario_file(meta.file_name, meta.fingerprint, (study.path.parent, Path()), meta.space)
-        if source is None:
-            return default
-        scenario = add_varied_roads(
-            source if isinstance(source, ScenarioFile) else ScenarioFile.read(source), meta.space
-        )
+        folders = study.path.parent, Path()
+        scenario, changed = find_scenario_file(meta.file_name, meta.fingerprint, folders, meta.space)
+        if scenario is None:
+            if not changed:
+                return default
+            scenario = add_varied_roads(ScenarioFile.read(changed[0]), meta.space)
         reference = scenario.first_missing_road_file()
     except InputError:
         return default

@@ -19,23 +19,21 @@ _MAX_ENTRIES: Final = 1000
 
 def find_scenario_file(
     file_name: str, fingerprint: str, folders: Iterable[Path], space: ParameterSpace
-) -> ScenarioFile | Path | None:
+) -> tuple[ScenarioFile | None, list[Path]]:
     """Search folders, down to two levels below them, for the scenario file with a fingerprint.
 
-    Return the scenario if a file matches. Otherwise return the path of a file with the same name but other content, or
-    None if there is none. Directly in `folders`, a file of any name can match. `file_name` is only compared with names
-    in these folders, and never opened as a path.
+    Return the scenario, or None, and the files that were passed over: they have the same name but other content.
+    Directly in `folders`, a file of any name can match. `file_name` is only compared with names in these folders, and
+    never opened as a path.
     """
+    changed: list[Path] = []
     for folder in folders:
-        changed = None
         for file in _candidate_files(file_name, folder):
             if (scenario := read_if_fingerprint_matches(file, fingerprint, space)) is not None:
-                return scenario
-            if changed is None and file.name == file_name:
-                changed = file
-        if changed is not None:
-            return changed
-    return None
+                return scenario, changed
+            if file.name == file_name:
+                changed.append(file)
+    return None, changed
 
 
 def read_if_fingerprint_matches(path: Path, fingerprint: str, space: ParameterSpace) -> ScenarioFile | None:

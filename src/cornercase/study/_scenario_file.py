@@ -23,47 +23,54 @@ def find_explored_scenario(
 ) -> ScenarioFile | None:
     """Find the scenario file that a study explored; `InputError` for any other file.
 
-    Without `scenario`, the file is searched beside the study, in the current folder, and where this machine has
-    explored it, and recognized by its fingerprint. `search_stored_path` also searches at the path stored in the study.
-    Use it only if the command needs the file, since a study may come from anyone. The path that this machine remembers
-    may reveal folders; do not search there if the result shows the path. The result is None for imported
-    recordings, and the first file of a suite.
+    Without `scenario`, the file is searched where this machine has explored it, beside the study, and in the current
+    folder, and recognized by its fingerprint; a file with another one is passed over while a later place has the right
+    one. `search_stored_path` searches at the path stored in the study first. Use it only if the command needs the file,
+    since a study may come from anyone. The path that this machine remembers may reveal folders; do not search there if
+    the result shows the path. The result is None for imported recordings, and the first file of a suite.
     """
     meta = study.meta
     if meta.simulator == IMPORTED_SIMULATOR:
         return None
+    if scenario is not None:
+        given = scenario if isinstance(scenario, ScenarioFile) else ScenarioFile.read(scenario)
+        return _require_explored(study, add_varied_roads(given, meta.space))
     # The study may come from anywhere: without the option, its stored path is not opened.
-    stored_file = (
-        resolve_stored_path(meta.scenario, study.path)
-        if search_stored_path and scenario is None and not meta.suite
-        else None
-    )
-    file = scenario
-    if stored_file is not None:
-        file = read_if_fingerprint_matches(stored_file, meta.fingerprint, meta.space)
-    if file is None:
-        file = find_scenario_file(meta.file_name, meta.fingerprint, (study.path.parent, Path()), meta.space)
-        # A file of that name that has changed is refused below, also where the remembered one has not.
-        remembered = find_remembered_scenario(meta.fingerprint) if search_remembered_path else None
-        if file is None and remembered is not None:
-            file = read_if_fingerprint_matches(remembered, meta.fingerprint, meta.space)
-        file = file or stored_file
-    if file is None:
-        stored = f", or at {meta.scenario}" if search_stored_path and "/" in meta.scenario else ""
+    stored = resolve_stored_path(meta.scenario, study.path) if search_stored_path and not meta.suite else None
+    remembered = find_remembered_scenario(meta.fingerprint) if search_remembered_path else None
+    changed = []
+    for path in (stored, remembered):
+        if path is not None:
+            if (explored := read_if_fingerprint_matches(path, meta.fingerprint, meta.space)) is not None:
+                return explored
+            changed += [path] if path.is_file() else []
+    explored, others = find_scenario_file(meta.file_name, meta.fingerprint, (study.path.parent, Path()), meta.space)
+    if explored is not None:
+        return explored
+    changed += others
+    if not changed:
+        at = f", or at {meta.scenario}" if search_stored_path and "/" in meta.scenario else ""
         raise InputError(
             f"{study.path}: the scenario file '{meta.file_name}' was not found beside the study, in the current"
             " folder, up to"
-            f" two folders below{stored}; name it with `scenario`."
+            f" two folders below{at}; name it with `scenario`."
         )
-    result = add_varied_roads(file if isinstance(file, ScenarioFile) else ScenarioFile.read(file), meta.space)
-    if result.fingerprint() != meta.fingerprint:
-        missing = result.describe_missing_road()
-        if missing:
-            raise InputError(
-                f"{result.path}: differs from the scenario that {study.path} was explored with: {missing}."
-            )
-        raise InputError(
-            f"{result.path}: the file, its road or its catalogs have changed since {study.path} was explored; restore"
-            " them, name the file that was explored with `scenario`, or run `explore` again, into another study."
-        )
-    return result
+    files = list(dict.fromkeys(str(path.resolve()) for path in changed))
+    return _require_explored(study, add_varied_roads(ScenarioFile.read(changed[0]), meta.space), len(files) - 1)
+
+
+def _require_explored(study: StudyFile, scenario: ScenarioFile, n_others: int = 0) -> ScenarioFile:
+    """Return the scenario if it is the one that the study explored; `InputError` otherwise.
+
+    `n_others` is how many more files of its name have been passed over.
+    """
+    if scenario.fingerprint() == study.meta.fingerprint:
+        return scenario
+    missing = scenario.describe_missing_road()
+    if missing:
+        raise InputError(f"{scenario.path}: differs from the scenario that {study.path} was explored with: {missing}.")
+    others = f" (so have {n_others} more of this name)" if n_others else ""
+    raise InputError(
+        f"{scenario.path}: the file, its road or its catalogs have changed since {study.path} was explored{others};"
+        " restore them, name the file that was explored with `scenario`, or run `explore` again, into another study."
+    )
