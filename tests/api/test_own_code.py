@@ -284,6 +284,44 @@ def test_proposals_that_were_run_already_are_noticed(problem, tmp_path):
         study.explore(proposing(np.full((2, 3), 0.5)), budget=4, batch=2)
 
 
+class Uniform(cc.Optimizer):
+    """Draws from a generator that each `ask` advances."""
+
+    name = "uniform"
+
+    def prepare(self, space, seed):
+        self._rng, self._dimension = np.random.default_rng(seed), space.dimension
+
+    def ask(self, n):
+        return self._rng.random((n, self._dimension))
+
+    def tell(self, points, scores):
+        pass
+
+
+class Stateful(Uniform):
+    name, is_stateful_ask = "stateful", True
+
+
+@pytest.mark.parametrize("audit", [0.0, 0.25])
+def test_a_search_that_depends_on_calls_of_ask_goes_on_as_if_it_had_not_stopped(audit, problem, tmp_path):
+    for name, budgets in {"whole": [17], "parts": [5, 8, 17]}.items():
+        study = cc.Study.create(tmp_path / f"{name}.db", problem, seed=1)
+        for budget in budgets:
+            study.explore(Stateful(), budget=budget, batch=4, audit=audit)
+    whole, parts = (cc.Study.open(tmp_path / f"{name}.db").table()["ego_start"] for name in ("whole", "parts"))
+    np.testing.assert_array_equal(whole, parts)
+
+
+def test_a_search_that_began_again_is_told_why(problem, tmp_path):
+    study = cc.Study.create(tmp_path / "study.db", problem)
+    study.explore(Uniform(), budget=4, batch=2)
+    with pytest.warns(
+        cc.NoticeWarning, match=r"4 scenarios that were run already; .* set is_stateful_ask = True in its"
+    ):
+        study.explore(Uniform(), budget=8, batch=2)
+
+
 def test_an_object_is_no_sampler_of_optuna():
     with pytest.raises(cc.InputError, match=r"`sampler` <object object .*>: give a name, one of tpe, nsga2"):
         cc.optimizers.Optuna(object())  # type: ignore[arg-type]

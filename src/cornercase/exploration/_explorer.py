@@ -172,7 +172,7 @@ class ScenarioExplorer:
         """Explore until a termination criterion holds; `progress` shows best score, rate and remaining time."""
         self._ask_tell = AskTell(self._optimizer, self._study.space, self._study.meta.asynchronous)
         self._proposal_source = ProposalSource(self._ask_tell, self._study)
-        before = len(self._study.finished_rows())
+        before, n_stored = len(self._study.finished_rows()), len(self._study.rows())
         bar = ProgressBar(self._config.budget, "exploring", "scenarios") if progress else None
         try:
             with collect_interrupts() as check:
@@ -186,7 +186,7 @@ class ScenarioExplorer:
                 bar.stop()
             self._clock.save_times()
             self._runner.notices.issue_warnings()
-            warn_of_repetitions(self._study, self._optimizer, before)
+            warn_of_repetitions(self._study, self._optimizer, n_stored)
         return ExplorationResult.from_study(self._study, reason, n_done_before=before)
 
     def _run_until_stop(self, bar: ProgressBar | None, check_interrupt: Callable[[], None]) -> str:
@@ -256,12 +256,19 @@ class ScenarioExplorer:
             return self._stopping.describe_if_all_reached()
 
     def _resume_study(self, bar: ProgressBar | None) -> tuple[int, int]:
-        """Run pending scenarios and pass all results to the optimizer; return numbers of scenarios and of rounds."""
+        """Run pending scenarios and pass all results to the optimizer; return numbers of scenarios and of rounds.
+
+        An optimizer whose state depends on the calls of `ask` is asked again for each round, as before.
+        """
         rows = self._study.rows()
         minimized = self._objective.minimized_scores(self._study)
         scores = dict(zip((row.id for row in rows if row.state == "done"), minimized, strict=True))
         for _, members in groupby(rows, key=lambda row: row.round):
             round_rows = list(members)
+            n_searched = sum(not self._study.meta.is_audit(row.id) for row in round_rows)
+            if self._optimizer.is_stateful_ask and n_searched:
+                with self._clock("optimize"):
+                    self._ask_tell.ask(n_searched)
             scores |= self._simulate_rows([row for row in round_rows if row.state == "pending"], bar)
             self._tell_round(round_rows, scores)
         return len(rows), rows[-1].round if rows else 0

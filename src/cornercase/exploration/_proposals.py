@@ -119,14 +119,25 @@ def warn_of_repetitions(study: StudyFile, optimizer: Optimizer, n_before: int) -
     if is_built_in(optimizer):
         return
     rows = [row for row in study.rows() if not study.meta.is_audit(row.id)]
+    keys = row_keys(np.array([row.point for row in rows])) if rows else []
     seen, n_repeated = set[bytes](), 0
-    for row, key in zip(rows, row_keys(np.array([row.point for row in rows])) if rows else (), strict=True):
+    for row, key in zip(rows, keys, strict=True):
         n_repeated += key in seen and row.id > n_before
         seen.add(key)
     if n_repeated:
+        n_old = sum(row.id <= n_before for row in rows)
+        n_compared = min(n_old, len(rows) - n_old)
+        first_keys = list(keys[:n_compared])
+        proposes_first_again = n_compared > 0 and list(keys[n_old : n_old + n_compared]) == first_keys
+        why = "they were run again and say nothing new, so leave them out in ask"
+        if proposes_first_again and not optimizer.is_stateful_ask and len(set(first_keys)) == n_compared:
+            why = (
+                "a search that goes on gets the stored scores by tell, but this one began again, since its ask depends"
+                " on earlier calls of ask; set is_stateful_ask = True in its class, or draw random numbers from the"
+                " seed and the number of scenarios that it was told"
+            )
         issue_notice_warning(
-            f"the optimizer '{optimizer}' proposed {n_repeated} scenarios that were run already; they were run again"
-            " and say nothing new, so leave them out in ask"
+            f"the optimizer '{optimizer}' proposed {n_repeated} scenarios that were run already; {why}"
         )
 
 

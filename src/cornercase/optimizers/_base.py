@@ -22,8 +22,11 @@ class Optimizer(Configurable, ABC):
     """Proposes scenarios to run, as points of the unit cube.
 
     The constructor takes options only. `start` returns a copy that searches a space, with `ask` and `tell`. The
-    proposals depend only on the space, the seed, and the observed scores in the order of the calls. So a killed study
-    is resumed by giving a fresh copy the same results again: it proposes the same points.
+    proposals depend only on the space, the seed, and the observed scores in the order of the calls. So a search goes
+    on, after it was killed or with a larger budget, by telling a fresh copy all stored scores, round by round: it then
+    proposes what the first one would have. A random number generator that `ask` advances would begin again. Either draw
+    from ``np.random.default_rng([seed, n])`` in each `ask`, where n is the number of scenarios that `tell` got, or set
+    `is_stateful_ask`, as below: before each round is told, the copy is asked for it again.
 
     A subclass defines `prepare`, `ask` and `tell`. The arguments of its constructor are its options and have defaults.
     On the command line options follow a colon, as in ``bayes:filling=0``, which is also the text (`str`) of the object.
@@ -44,8 +47,7 @@ class Optimizer(Configurable, ABC):
         of an optimizer that requires the budget depend on it, so its studies keep their initial budget. The `tell` of
         one that requires features takes them as third argument, shape (m, f), NaN for a scenario that failed.
     is_stateful_ask : bool, default False
-        Whether its proposals also depend on earlier calls of `ask`. If a search without rounds is resumed, these calls
-        are repeated.
+        Whether its proposals also depend on earlier calls of `ask`. If a search goes on, these calls are repeated.
 
     See Also
     --------
@@ -77,6 +79,19 @@ class Optimizer(Configurable, ABC):
     array([[0.75, 0.75]])
     >>> Centre(offset=0.25), str(Centre(offset=0.25))
     (Centre(offset=0.25), 'centre:offset=0.25')
+    >>> class Uniform(Optimizer):
+    ...     name, is_stateful_ask = "uniform", True
+    ...
+    ...     def prepare(self, space, seed):
+    ...         self._rng, self._dimension = np.random.default_rng(seed), space.dimension
+    ...
+    ...     def ask(self, n):
+    ...         return self._rng.random((n, self._dimension))
+    ...
+    ...     def tell(self, points, scores):
+    ...         pass
+    >>> Uniform().start(space, seed=1).ask(2).shape
+    (2, 2)
     >>> import cornercase as cc
     >>> folder = "examples/x_intersection/x_intersection"
     >>> scenario = cc.LogicalScenario.read(f"{folder}.xosc", f"{folder}.space.xosc")
