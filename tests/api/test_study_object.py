@@ -170,6 +170,23 @@ def test_clusters_have_a_table_that_adds_up(explored):
         assert table.loc[0, "median wttc"] == pytest.approx(members["wttc"].median())
 
 
+def test_reduce_says_which_scenarios_were_run_since_they_were_clustered(explored, tmp_path):
+    study = cc.Study.open(shutil.copy(explored.path, tmp_path / "study.db"), scenario=X)
+    study.explore(budget=34)
+    since = "10 of the 34 scenarios were run after the clusters were found and are not represented; cluster again, with"
+    with pytest.warns(cc.NoticeWarning, match=since):
+        study.reduce(tmp_path / "reduced", size=5)
+    with pytest.warns(
+        cc.NoticeWarning, match="34 scenarios were asked for, but 24 are selected: no more are clustered"
+    ):
+        study.reduce(tmp_path / "reduced", size=34, within=1e-6)
+    said = cornercase("reduce", study.path, "-o", tmp_path / "reduced", "--size", "5").stderr
+    assert "10 of the 34 scenarios were run after the clusters were found" in said
+    assert "cluster again, with --keep-clusters" in said
+    study.cluster(by=["interaction", "wttc"], keep_clusters=True)
+    assert "after the clusters were found" not in cornercase("reduce", study.path, "-o", tmp_path / "reduced").stderr
+
+
 def test_the_critical_set_counts_the_critical_scenarios(explored):
     scores = explored.table()["wttc"]
     assert explored.critical_set().n_critical == (scores <= 0.2).sum()

@@ -501,6 +501,8 @@ class Study(PathLike[str]):
     ) -> ReducedSet:
         """Select the few scenarios that matter, and write them as OpenSCENARIO files that run on their own.
 
+        The study has to be clustered before. Scenarios that were run since then are not represented.
+
         Parameters
         ----------
         folder : path
@@ -547,7 +549,8 @@ class Study(PathLike[str]):
         Warns
         -----
         NoticeWarning
-            Fewer scenarios than requested were selected, since all others are alike to a selected one.
+            Fewer scenarios than requested were selected, since all others are alike to a selected one; or scenarios
+            were run since `cluster`, which are left out: cluster again, or with ``keep_clusters=True``.
 
         See Also
         --------

@@ -148,7 +148,8 @@ def reduce(
     Warns
     -----
     NoticeWarning
-        Fewer are selected than `size` or `share` asks for, since all others are similar to a selected one.
+        Fewer are selected than `size` or `share` asks for, since all others are similar to a selected one; or scenarios
+        were run since the analysis, which represent nothing and are not represented.
 
     See Also
     --------
@@ -203,8 +204,11 @@ def reduce(
         cluster_names |= dict(enumerate(band_names))
         _write_files_and_store(opened, explored, reduced, curves, data.analyses, cluster_names, folder)
         opened.writer.add_elapsed_time("reduce", time.monotonic() - start)
+    n_new = len(data.rows.keys() - set(analysis.ids.tolist()))
+    if n_new:
+        _warn_not_clustered(n_new, len(data.rows))
     if size is not None and size_requested and len(reduced) < size:
-        _warn_fewer_selected(size, len(reduced), len(analysis.ids))
+        _warn_fewer_selected(size, len(reduced), len(analysis.ids), "no more are clustered" if n_new else "")
     return reduced
 
 
@@ -239,12 +243,20 @@ def _name_bands(reduced: ReducedSet, names: Sequence[str]) -> ReducedSet:
     return replace(reduced, by=f"{BANDS_PREFIX}{reduced.by}", scenarios=scenarios)
 
 
-def _warn_fewer_selected(n_requested: int, n_selected: int, n_scenarios: int) -> None:
-    reason = (
-        f"each of the other {n_scenarios - n_selected} is within a thousandth of the largest distance of one of these"
+def _warn_not_clustered(n_new: int, n_run: int) -> None:
+    were, are = ("was", "is") if n_new == 1 else ("were", "are")
+    issue_notice_warning(
+        f"{n_new} of the {n_run} scenarios {were} run after the clusters were found and {are} not represented; cluster"
+        " again, with `keep_clusters` if the clusters shall stay as they are"
     )
-    if n_selected == n_scenarios:
-        reason = "the study has no more"
+
+
+def _warn_fewer_selected(n_requested: int, n_selected: int, n_clustered: int, why_no_more: str) -> None:
+    reason = (
+        f"each of the other {n_clustered - n_selected} is within a thousandth of the largest distance of one of these"
+    )
+    if n_selected == n_clustered:
+        reason = why_no_more or "the study has no more"
     issue_notice_warning(f"{n_requested} scenarios were asked for, but {n_selected} are selected: {reason}")
 
 
