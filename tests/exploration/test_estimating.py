@@ -92,6 +92,11 @@ def test_the_probability_is_the_true_one_and_failures_are_told(tmp_path):
     (answer,) = (one for one in page_answers(report_data(tmp_path / "e.db")) if one.name == "probability")
     assert f"It collides with a probability of at most {found.collision.high:.3g} (95 %)." in answer.text
     assert found.criterion == "distance <= 0.05 m"
+    # Which draws each probability comes from.
+    table = found.table()
+    assert table.loc["encounter", ["scenarios", "method"]].tolist() == [64, "plain Monte Carlo, Clopper-Pearson"]
+    assert table.loc["critical", ["scenarios", "met"]].tolist() == [found.critical.scenarios, found.critical.met]
+    assert table.loc["critical given an encounter", "method"].startswith("quotient")
     uniform = "All 2 parameters are uniform: probabilities are shares of the space, no frequency in traffic."
     assert found.warnings[0] == uniform
 

@@ -755,6 +755,7 @@ class Study(PathLike[str]):
         Returns
         -------
         Estimation
+            The probability of an encounter comes from the first draws alone; see there.
 
         Raises
         ------

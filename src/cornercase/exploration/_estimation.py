@@ -68,6 +68,12 @@ _CONDITIONS: Final = {
 class Estimation:
     """Probabilities of events under the distributions of a space.
 
+    They come from different draws, so they agree within their intervals, not to the digit. That of an encounter is the
+    fraction of the first draws, which come from the distributions themselves; a larger budget does not add to them.
+    Those of critical scenarios and collisions are sums of weights of the later draws, from the proposal distribution:
+    weights are 1 only on average, so an event that was met in all of them may have 0.95. Conditional probabilities are
+    quotients of the two. `table` says which is which.
+
     Attributes
     ----------
     study : Path
@@ -116,7 +122,8 @@ class Estimation:
         -------
         DataFrame
             One row per event, indexed by its name: ``probability``, the bounds ``low`` and ``high`` of its 95 %
-            interval, and ``error``, the relative standard error. Probabilities that are unknown are left out.
+            interval, ``error``, the relative standard error, the number of ``scenarios`` that it is estimated from,
+            in how many of these the event was ``met``, and the ``method``. Probabilities that are unknown are left out.
         """
         import pandas as pd
 
@@ -127,13 +134,14 @@ class Estimation:
             "critical given an encounter": self.critical_given_encounter,
             "collision given an encounter": self.collision_given_encounter,
         }
-        columns = ("probability", "low", "high", "error")
+        columns = ("probability", "low", "high", "error", "scenarios", "met", "method")
         rows = {
-            name: (event.value, event.low, event.high, event.error)
+            name: (event.value, event.low, event.high, event.error, event.scenarios, event.met, event.method)
             for name, event in events.items()
             if event is not None
         }
-        return pd.DataFrame.from_dict(rows, orient="index", columns=columns, dtype="float64").rename_axis("event")
+        table = pd.DataFrame.from_dict(rows, orient="index", columns=columns).rename_axis("event")
+        return table.astype(dict.fromkeys(columns[:4], "float64"))
 
     def _repr_html_(self) -> str:
         """HTML table of the probabilities, for notebooks."""
