@@ -159,6 +159,42 @@ def test_an_export_has_the_ids_in_its_first_column(explored, tmp_path):
     assert len(list((tmp_path / "tables" / "recordings").iterdir())) == 24
 
 
+def test_an_export_is_imported_again(explored, tmp_path):
+    explored.export(tmp_path / "tables")
+    given: dict[str, Any] = {"ego": "Ego", "other": "Pedestrian", "metrics": ["wttc"], "critical": 0.2}
+    cc.import_recordings(tmp_path / "tables", tmp_path / "imported.db", **given)
+    imported = cc.Study.open(tmp_path / "imported.db")
+    same = ["ego_start", "pedestrian_wait", "p1_speed", "wttc", "critical", "collision"]
+    pd.testing.assert_frame_equal(imported.table()[same], explored.table()[same])
+    with pytest.raises(cc.InputError, match=r"imported recordings, .* so it has no problem; `summary` says what"):
+        _ = imported.problem
+    for folder, table, says in (
+        ("tables/recordings", None, f"name the folder above, {tmp_path / 'tables'}, which has one"),
+        ("tables/recordings", tmp_path / "tables" / "scenarios.csv", f"name the folder {tmp_path / 'tables'}, whose"),
+    ):
+        with pytest.raises(cc.InputError, match=says):
+            cc.import_recordings(tmp_path / folder, tmp_path / "again.db", table=table, **given)
+
+
+def test_the_table_says_which_scenarios_are_critical(explored, problem, tmp_path):
+    table = explored.table()
+    assert table["critical"].dtype == "boolean"
+    assert (table["critical"] == (table["wttc"] <= 0.2)).all()
+    assert explored.most_critical(1)["critical"].all()
+    # The file's own table, and what is exported, has what the file holds.
+    with StudyFile.open(explored.path) as file:
+        assert "critical" not in file.table()
+    without = cc.Problem(problem.scenario, ego="Ego", other="Pedestrian", metrics=["distance"])
+    plain = cc.Study.create(tmp_path / "plain.db", without)
+    plain.explore("sobol", budget=2)
+    assert "critical" not in plain.table()
+    condition = cc.Problem(problem.scenario, ego="Ego", other="Pedestrian", metrics=["wttc"], condition="collision")
+    collided = cc.Study.create(tmp_path / "collided.db", condition, seed=1)
+    collided.explore("sobol", budget=24)
+    table = collided.table()
+    assert (table["critical"] == (table["collision"] == "Pedestrian")).all()
+
+
 def test_clusters_have_a_table_that_adds_up(explored):
     for by, analysis in explored.summary().analyses.items():
         table = analysis.table()

@@ -791,14 +791,23 @@ class Study(PathLike[str]):
         Returns
         -------
         DataFrame
-            One row per scenario, indexed by its id: ``round``, ``state``, the parameters, the score by each metric,
-            ``objective`` (the sum that was minimized, if the problem has `weights`), ``collision`` (the entity that the
-            ego collides with first), ``impact speed`` in m/s, and once they are known ``cluster by …`` (-1 for noise),
-            ``outcome`` and ``note``; ``error`` if it failed. All columns are listed in
-            `cornercase.study.StudyFile.table`.
+            One row per scenario, indexed by its id: ``round``, ``state``, the parameters, the score by each metric (in
+            its unit, ``cornercase.metrics.METRICS.create(name).unit``), ``objective`` (the sum that was minimized, if
+            the problem has `weights`), ``critical`` (whether the score is, by the threshold or condition of the study;
+            only if there is one), ``collision`` (the entity that the ego collides with first), ``impact speed`` in m/s,
+            and once they are known ``cluster by …`` (-1 for noise), ``outcome`` and ``note``; ``error`` if it failed.
+            All other columns are listed in `cornercase.study.StudyFile.table`, which lacks ``critical``, as do the
+            tables that `export` writes.
+
+        Examples
+        --------
+        The critical scenarios, and how many of them are collisions::
+
+            table = study.table()
+            table[table["critical"].fillna(False)]["collision"].notna().sum()
         """
-        with self._read() as file:
-            return file.table()
+        with self._read() as file, file.snapshot():
+            return _table_with_critical(file)
 
     @suggest_arguments
     def most_critical(self, n: int = 10, metric: str | None = None) -> pd.DataFrame:
@@ -827,7 +836,7 @@ class Study(PathLike[str]):
         """
         count = check_int("n", n, 1)
         with self._read() as file, file.snapshot():
-            return file.table().loc[file.most_critical(metric)[:count]]
+            return _table_with_critical(file).loc[file.most_critical(metric)[:count]]
 
     def pareto_front(self) -> pd.DataFrame:
         """Make a table of the scenarios on the Pareto front.
@@ -851,7 +860,7 @@ class Study(PathLike[str]):
                 )
             is_on_front = is_on_pareto_front(file.objective.minimized_scores(file))
             front = {row.id for row, on in zip(file.finished_rows(), is_on_front, strict=True) if on}
-            return file.table().loc[[scenario for scenario in file.most_critical() if scenario in front]]
+            return _table_with_critical(file).loc[[scenario for scenario in file.most_critical() if scenario in front]]
 
     @suggest_arguments
     def recording(self, scenario: int) -> Recording:
@@ -995,6 +1004,8 @@ class Study(PathLike[str]):
         ----------
         folder : path
             Folder for ``scenarios.csv``, and for ``recordings/ID.csv`` and ``courses/ID.csv`` of each scenario.
+            ``parameters.csv`` names each recording with its parameters, so that `cornercase.import_recordings` can read
+            the folder.
         parquet : bool, default False
             Also write ``scenarios.parquet``, ``recordings.parquet`` and ``courses.parquet`` of all scenarios.
 
@@ -1054,9 +1065,37 @@ class Study(PathLike[str]):
         if self._problem is not None and not self.path.exists():
             return render_html(repr(self))
         with self._read() as file:
-            table = file.table()
+            table = _table_with_critical(file)
             # If the package of a metric is missing, the first scenarios are shown.
             with suppress(InputError):
                 ids = file.most_critical()
                 table = table.loc[[*ids, *table.index.difference(ids)]]
         return render_html_table(repr(self), table)
+
+
+def _table_with_critical(study: StudyFile) -> pd.DataFrame:
+    """Return the table of all scenarios, with the column ``critical`` if something says what is critical."""
+    import pandas as pd
+
+    table = study.table()
+    # The package of a metric may be missing.
+    with suppress(InputError):
+        # A parameter may have this name.
+        if study.criterion is not None and "critical" not in table.columns:
+            critical = pd.Series(pd.NA, index=table.index, dtype="boolean")
+            critical.loc[[row.id for row in study.finished_rows()]] = study.critical_mask()
+            table.insert(table.columns.tolist().index("collision"), "critical", critical)
+    return table
+
+
+def _describe_unknown_critical(study: StudyFile) -> str:
+    """Say why nothing can be estimated about the critical part of the space."""
+    if not study.finished_rows():
+        return f"{study.path}: no scenario has a result, so nothing is known about the critical ones."
+    objective = study.objective
+    what = "the weighted sum" if objective.weights else f"the metric {objective.label}"
+    unit = f", in {objective.unit}" if objective.unit else ""
+    return (
+        f"{study.path}: nothing says from which score on a scenario is critical, since {what} has no threshold of its"
+        f" own; give `threshold`{unit}."
+    )

@@ -18,6 +18,7 @@ from cornercase.exploration._constant_metrics import warn_about_threshold
 from cornercase.metrics import Metric
 from cornercase.scenario import LogicalScenario
 from cornercase.study import StudyFile
+from cornercase.study._import_recordings import IMPORTED_SIMULATOR
 
 # Arguments and verbs of the objects, by their name in the functions.
 _NAME_IN_OBJECTS: Final = {
@@ -128,6 +129,11 @@ Problem.__init__ = suggest_arguments(Problem.__init__)  # type: ignore[method-as
 def problem_from_study(study: StudyFile, scenario: Path | None) -> Problem:
     """Return the problem that was searched; no code of the user is needed. `scenario` is the explored file."""
     meta = study.meta
+    if meta.simulator == IMPORTED_SIMULATOR:
+        raise InputError(
+            f"{study.path}: contains imported recordings, which no scenario file made, so it has no problem; `summary`"
+            " says what was measured."
+        )
     return Problem(
         read_logical_scenario(study, scenario),
         meta.ego,

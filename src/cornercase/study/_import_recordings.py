@@ -31,13 +31,14 @@ from cornercase.study._objective import Objective
 from cornercase.study._scenario_table import ScenarioRecord
 from cornercase.study._stored_paths import stored_path
 from cornercase.study._study_file import StudyFile, open_or_create_study
+from cornercase.study._write_tables import FILE_COLUMN, PARAMETER_TABLE
 
 IMPORTED_SIMULATOR: Final = "imported"
 """Simulator of a study whose recordings come from files."""
 
-DEFAULT_TABLE_NAME: Final = "parameters.csv"
-_FILE_COLUMN: Final = "file"
 _MAX_CHOICES: Final = 50
+# Of the table that `export` writes.
+_EXPORT_COLUMNS: Final = ["id", "round", "state"]
 
 
 @dataclass(frozen=True)
@@ -83,7 +84,8 @@ def import_recordings(
     Parameters
     ----------
     folder : path
-        Folder with the recordings, in any format that `cornercase.recordings.read_recording` reads.
+        Folder with the recordings, in any format that `cornercase.recordings.read_recording` reads; also one that
+        `Study.export` wrote.
     study : path
         Study to write.
     ego : str
@@ -110,17 +112,31 @@ def import_recordings(
     ------
     InputError
         The table cannot be used, no recording can be read and measured, or the study belongs to something else.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> folder = "examples/x_intersection/x_intersection"
+    >>> scenario = cc.LogicalScenario.read(f"{folder}.xosc", f"{folder}.space.xosc")
+    >>> problem = cc.Problem(scenario, ego="Ego", other="Pedestrian", metrics=["wttc"])
+    >>> study = cc.Study.create("explored.db", problem)
+    >>> _ = study.explore("sobol", budget=4)
+    >>> study.export("exported")
+    >>> cc.import_recordings("exported", "imported.db", ego="Ego", other="Pedestrian", metrics=["ttc"])
+    <ImportResult: 4 recordings measured, in 'imported.db'>
     """
     folder, path = validation.check_path("folder", folder), validation.check_path("study", study)
     if not folder.is_dir():
         problem = "is a file" if folder.exists() else "there is no such folder"
         raise InputError(f"{folder}: {problem}; name the folder that holds the recordings.")
-    if table is None and not (folder / DEFAULT_TABLE_NAME).exists():
+    if table is None and not (folder / PARAMETER_TABLE).exists():
+        above = folder.resolve().parent
+        hint = f"name the folder above, {above}, which has one" if (above / PARAMETER_TABLE).exists() else "write one"
         raise InputError(
-            f"{folder}: has no {DEFAULT_TABLE_NAME} with the parameter values of each recording;"
-            f" write one, or name it with `table`."
+            f"{folder}: has no {PARAMETER_TABLE} with the parameter values of each recording; {hint}, or name it with"
+            " `table`."
         )
-    table = folder / DEFAULT_TABLE_NAME if table is None else validation.check_path("table", table)
+    table = folder / PARAMETER_TABLE if table is None else validation.check_path("table", table)
     files, values = _read_parameter_table(folder, table)
     others = _resolve_others(other, ego, [folder / file for file in files])
     instances = resolve_metrics(metrics)
@@ -217,9 +233,14 @@ def _read_parameter_table(folder: Path, table: Path) -> tuple[list[str], list[di
     except (UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"{table}: is not a CSV table ({error}).") from error
     check_comma_separated(table, names)
-    if _FILE_COLUMN not in names or len(names) < 2 or len(set(names)) < len(names):
+    if FILE_COLUMN not in names or len(names) < 2 or len(set(names)) < len(names):
+        if names[: len(_EXPORT_COLUMNS)] == _EXPORT_COLUMNS and (table.parent / PARAMETER_TABLE).exists():
+            raise InputError(
+                f"{table}: is the table of an export, with scores beside parameters; leave `table` out, and name the"
+                f" folder {table.parent}, whose {PARAMETER_TABLE} has what is needed."
+            )
         raise InputError(
-            f"{table}: needs a header with '{_FILE_COLUMN}' and each parameter once, not {', '.join(names)}."
+            f"{table}: needs a header with '{FILE_COLUMN}' and each parameter once, not {', '.join(names)}."
         )
     if len(rows) < 2:
         raise InputError(f"{table}: names {len(rows)} recordings; at least 2 are needed.")
@@ -228,15 +249,15 @@ def _read_parameter_table(folder: Path, table: Path) -> tuple[list[str], list[di
     for line, row in rows:
         if None in row or None in row.values() or "" in row.values():
             raise InputError(f"{table}, line {line}: has an extra or an empty field.")
-        if "\0" in row[_FILE_COLUMN] or not (folder / row[_FILE_COLUMN]).is_file():
-            raise InputError(f"{table}, line {line}: there is no file {folder / row[_FILE_COLUMN]}.")
-        if row[_FILE_COLUMN] in files:
-            raise InputError(f"{table}, line {line}: names {row[_FILE_COLUMN]} a second time.")
-        files.append(row[_FILE_COLUMN])
-        values.append({unescape_csv_cell(name): unescape_csv_cell(row[name]) for name in names if name != _FILE_COLUMN})
+        if "\0" in row[FILE_COLUMN] or not (folder / row[FILE_COLUMN]).is_file():
+            raise InputError(f"{table}, line {line}: there is no file {folder / row[FILE_COLUMN]}.")
+        if row[FILE_COLUMN] in files:
+            raise InputError(f"{table}, line {line}: names {row[FILE_COLUMN]} a second time.")
+        files.append(row[FILE_COLUMN])
+        values.append({unescape_csv_cell(name): unescape_csv_cell(row[name]) for name in names if name != FILE_COLUMN})
     for name in map(unescape_csv_cell, names):
         numbers = (
-            [_parse_finite_number(str(row_values[name])) for row_values in values] if name != _FILE_COLUMN else [None]
+            [_parse_finite_number(str(row_values[name])) for row_values in values] if name != FILE_COLUMN else [None]
         )
         if all(number is not None for number in numbers):
             for row_values, number in zip(values, numbers, strict=True):

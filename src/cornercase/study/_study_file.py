@@ -50,7 +50,7 @@ from cornercase.study._reference_outcomes import decode_reference_outcome, refer
 from cornercase.study._run_rates import critical_run_rates
 from cornercase.study._scenario_table import ScenarioRecord, build_scenario_table
 from cornercase.study._schema import TABLES
-from cornercase.study._write_tables import write_scenarios, write_table
+from cornercase.study._write_tables import write_parameters, write_scenarios, write_table
 from cornercase.study._writer import StudyWriter, optional_table_names
 
 if TYPE_CHECKING:
@@ -1162,6 +1162,7 @@ class StudyFile:
         folder : path
             Folder for ``scenarios.csv`` and, for each scenario, ``recordings/ID.csv`` and ``courses/ID.csv``.
             ``scenarios.csv`` holds the columns of `table`, with underscores for spaces in their names.
+            ``parameters.csv`` names the recordings, with the parameters of each, as `import_recordings` reads them.
         parquet : bool, default False
             Also write ``scenarios.parquet``, ``recordings.parquet`` and ``courses.parquet`` of all scenarios. The
             column ``scenario`` of the last two is the scenario id.
@@ -1179,6 +1180,7 @@ class StudyFile:
         # All files appear at the end, so that a damaged study leaves no partial export.
         with atomic_write_group():
             write_table(folder, table, parquet)
+            write_parameters(folder, {row.id: row.values for row in self.finished_rows()}, self.space.names)
             write_scenarios(folder, self.iter_recordings(), parquet)
             if osi:
                 for number, recording, _ in self.iter_recordings():

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import csv
 import importlib
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -17,9 +18,16 @@ from cornercase._common.text.sanitize import escape_csv_cell
 from cornercase._common.typing import FloatArray
 from cornercase.recordings import Recording
 from cornercase.recordings._csv import write_courses
+from cornercase.scenario import Value
 
 if TYPE_CHECKING:
     import pandas as pd
+
+PARAMETER_TABLE: Final = "parameters.csv"
+"""Table of recordings and their parameters."""
+
+FILE_COLUMN: Final = "file"
+"""Its column with the path of each recording, from its folder."""
 
 
 def write_table(folder: Path, table: pd.DataFrame, parquet: bool = False) -> None:
@@ -36,6 +44,20 @@ def write_table(folder: Path, table: pd.DataFrame, parquet: bool = False) -> Non
             renamed.to_parquet(temporary, engine="pyarrow", index=False)
     with atomic_write(folder / "scenarios.csv") as temporary:
         _escape_formulas(renamed).to_csv(temporary, index=False, lineterminator="\n", encoding="utf-8")
+
+
+def write_parameters(folder: Path, values: Mapping[int, Mapping[str, Value]], names: Sequence[str]) -> None:
+    """Write `parameters.csv`, by which `import_recordings` finds the recordings: file and parameters by scenario."""
+    with atomic_write(folder / PARAMETER_TABLE) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow([FILE_COLUMN, *map(escape_csv_cell, names)])
+        for scenario, own in values.items():
+            cells = [escape_csv_cell(value) if isinstance(value, str) else value for value in map(own.get, names)]
+            writer.writerow([_recording_file(scenario), *cells])
+
+
+def _recording_file(scenario: int) -> str:
+    return f"recordings/{scenario:05}.csv"
 
 
 def replace_spaces_in_names(names: Iterable[str]) -> list[str]:
@@ -97,7 +119,7 @@ def write_scenarios(
 def _write_scenario_csv(
     folder: Path, scenario_id: int, recording: Recording, courses: Mapping[str, FloatArray]
 ) -> None:
-    recording.to_csv(folder / "recordings" / f"{scenario_id:05}.csv")
+    recording.to_csv(folder / _recording_file(scenario_id))
     write_courses(folder / "courses" / f"{scenario_id:05}.csv", recording.time, courses)
 
 
