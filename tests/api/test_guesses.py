@@ -5,15 +5,19 @@ from __future__ import annotations
 import io
 import shutil
 import sqlite3
+import subprocess
 import sys
 import warnings
 from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import cornercase as cc
+from cornercase.clustering import read_analyses, read_analysis, read_distances
+from cornercase.reduction import read_reduction
 from cornercase.simulators import Builtin
 from helpers.command_line import SPACE, X, cornercase
 
@@ -96,6 +100,9 @@ def test_a_scenario_that_has_moved_or_changed_is_named(far, tmp_path):
     file = tmp_path / "secret-name" / X.name
     file.write_text(file.read_text().replace("<FileHeader ", "<!-- new --><FileHeader ", 1))
     study = cc.Study.open(far)
+    with pytest.raises(cc.InputError, match=f"{file}: the file, its road or its catalogs have changed since"):
+        _ = study.problem
+    file.unlink()
     with pytest.raises(cc.InputError, match=r"two folders below; name it as in Study\.open\(…, scenario=…\)"):
         _ = study.problem
     assert cc.Study.open(far, scenario=X).problem.scenario.path == X
@@ -127,6 +134,14 @@ def test_a_fingerprint_that_somebody_made_up_leads_nowhere(far, tmp_path):
         (lambda p: loose.compare("a.db", 3), "`new` 3: give the path of a file or folder."),
         (lambda p: problem_of(X, threshold=float("nan")), "`threshold` nan: give a finite number."),
         (lambda p: loose.LogicalScenario.read(X, ranges={"ego_start": 20}), "give two bounds, as in {'ego_start': (20, 80)}"),
+        (lambda p: loose.LogicalScenario.read(X, ranges={"ego_start": (30, 30)}), "in Python, vary('ego_start', 30, 30) fixes it"),
+        (lambda p: Builtin(drivers={"Ego": loose.drivers.SimpleDriver}), "SimpleDriver is a class; give an object of it, as in drivers={'Ego': SimpleDriver()}"),
+        (lambda p: loose.stop.missed(5), "`bound`: 5 has to be a number above 0 and up to 1."),
+        (lambda p: loose.simulate(problem_of(X).scenario), "is a LogicalScenario; give its file and the values, as in simulate(scenario.path, {"),
+        (lambda p: loose.simulate(cc.ConcreteScenario(X, {"ego_start": 40.0})), "as in simulate(scenario.path, scenario.values)."),
+        (lambda p: problem_of(X).scenario.concrete_scenario({"ego_strat": 3.0}), "no parameter 'ego_strat'; did you mean 'ego_start'?"),
+        (lambda p: problem_of(X).scenario.concrete_scenario({"ego_start": "x"}), "the parameter ego_start is 'x', which is not a number."),
+        (lambda p: loose.study.StudyFile("study.db"), "to open the study at a path, use StudyFile.open(path)."),
     ],
 )  # fmt: skip
 def test_a_wrong_setting_is_refused_where_it_is_given(make, says, problem, tmp_path):
@@ -173,6 +188,12 @@ def test_the_parameters_of_a_driver_are_a_driver(driven):
         (lambda s: s.reduce("r", sizes=3), "'sizes'; did you mean 'size'"),
         (lambda s: loose.compare(s, s, critical=0.1), "'critical'; did you mean 'threshold'"),
         (lambda s: problem_of(X, critical_if="collision"), r"Problem\(\) got .* did you mean 'condition'"),
+        (lambda s: loose.explore(X, "s.db", ego="Ego", other="C", metrics="wttc", threshold=1), "'critical'"),
+        (lambda s: loose.explore(X, "s.db", ego="Ego", other="C", metrics="wttc", condition="collision"), "'critical_if'"),
+        (lambda s: loose.estimate(s, "e.db", threshold=1), r"estimate\(\) got .* 'threshold'; did you mean 'critical'"),
+        (lambda s: loose.analyze(s, threshold=1), r"analyze\(\) got .* 'threshold'; did you mean 'critical'"),
+        (lambda s: s.explore(callbacks=[print]), "call `explore` in a loop with a growing `budget`"),
+        (lambda s: s.cluster(n_clusters=3), "a smaller `eps` splits them"),
     ],
 )  # fmt: skip
 def test_an_unknown_argument_says_which_one_is_meant(call, says, driven):
@@ -339,3 +360,100 @@ def test_words_of_other_libraries_point_to_those_of_this_one(problem, many):
         _ = loose.create_study
     with pytest.raises(AttributeError, match=r"has no attribute 'nothing'$"):
         _ = study.nothing
+
+
+def test_rooms_are_there_without_importing_them(driven):
+    program = "import cornercase as cc; print(cc.reduction.read_reduction.__name__, len([n for n in dir(cc)]))"
+    found = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout
+    assert found.split() == ["read_reduction", str(len(dir(cc)))]
+    with pytest.raises(AttributeError, match=r"use `cornercase\.compare"):
+        driven.compare(driven)
+
+
+def test_what_is_stored_is_read_from_a_study_or_its_path(many, tmp_path):
+    study = cc.Study.open(shutil.copy(many.path, tmp_path / "s.db"), scenario=X)
+    clusters = study.cluster("interaction")
+    kept = study.reduce(tmp_path / "reduced", size=3)
+    given: Any
+    for given in (study, study.path, str(study.path)):
+        reduced = read_reduction(given)
+        assert reduced is not None
+        assert reduced.ids == kept.ids
+        assert list(read_analyses(given)) == ["interaction"]
+        assert read_analysis(given, "interaction").sizes == clusters["interaction"].sizes
+        assert read_distances(given, "interaction").shape == (60, 60)
+
+
+@pytest.mark.parametrize("workers", ["many", 0])
+def test_a_number_of_workers_that_is_none_is_refused(workers, many):
+    with pytest.raises(cc.InputError, match=rf"`workers` '?{workers}'?: give a whole number of 1 or more"):
+        many.cluster("wttc", workers=workers)
+
+
+def test_a_front_is_refused_by_a_search_of_one_score_as_by_any_other(tmp_path):
+    problem = problem_of(X, metrics=["wttc", "trajectory-distance"], pareto=True, threshold=None)
+    for optimizer in (cc.optimizers.LevelSet(), cc.optimizers.Bayes()):
+        with pytest.raises(cc.InputError, match=f"`pareto`: {optimizer} takes one score; use evolutionary"):
+            cc.Study.create(tmp_path / "s.db", problem).explore(optimizer, budget=4)
+
+
+def test_a_study_without_a_threshold_says_which_one_it_lacks(tmp_path):
+    study = cc.Study.create(tmp_path / "s.db", problem_of(X, metrics=["distance"], threshold=None))
+    study.explore("sobol", budget=4)
+    with pytest.raises(
+        cc.InputError, match="since the metric distance has no threshold of its own; give `threshold`, in m"
+    ):
+        study.critical_set()
+    assert study.critical_set(threshold=1.0).n_run == 4
+
+
+class Constant(cc.Metric):
+    name, unit, lower_is_critical, cap = "constant", "m", True, 100.0
+
+    def course(self, recording, ego, other):
+        return np.ones_like(recording.time)
+
+
+class Scalar(Constant):
+    name = "scalar"
+
+    def course(self, recording, ego, other):
+        return 5.0
+
+
+def test_scores_that_are_all_the_same_are_said_to_be(tmp_path):
+    study = cc.Study.create(tmp_path / "s.db", problem_of(X, metrics=[Constant()], threshold=2.0))
+    study.explore("sobol", budget=20)
+    assert "too few scenarios with different scores" in repr(study.critical_set())
+
+
+def test_failures_from_the_first_scenario_on_say_how_to_look_at_them(tmp_path):
+    study = cc.Study.create(tmp_path / "s.db", problem_of(X, metrics=[Scalar()], threshold=2.0))
+    with pytest.raises(cc.InputError, match=r"`runs=Runs\(max_failures=…\)` is the limit, and 0 keeps the failed scen"):
+        study.explore("sobol", budget=8)
+    assert not study.path.exists()
+    study.explore("sobol", budget=8, runs=cc.Runs(max_failures=0))
+    assert study.table()["error"].str.contains("gave 5.0 as its course").sum() == 8
+
+
+def test_a_bad_scenario_fails_alone():
+    scenario = problem_of(X).scenario
+    concretes = [cc.ConcreteScenario(X, values, scenario.file) for values in ({"ego_start": 40.0}, {"ego_strat": 1.0})]
+    good, bad = Builtin(duration=1.0).run(concretes)
+    assert isinstance(good, cc.Recording)
+    assert "declares no parameter 'ego_strat'; did you mean 'ego_start'?" in str(bad)
+
+
+def test_what_has_no_items_says_what_to_use(many):
+    with pytest.raises(TypeError, match=r"create\('wttc'\) makes the metric, and get_class\('wttc'\) is its class"):
+        loose.metrics.METRICS["wttc"]
+    measured: Any = cc.measure(many.recording(1), "Ego", "Pedestrian", ["wttc"])
+    with pytest.raises(TypeError, match=r"use scores\['wttc'\], courses\['wttc'\] or units\['wttc'\]"):
+        measured["wttc"]
+
+
+def test_errors_of_expressions_and_of_own_code_can_be_told_apart():
+    with pytest.raises(cc.metrics.ExpressionError) as refused:
+        cc.metrics.Expression.parse("ttc < 1 m")
+    assert "^" in refused.value.excerpt
+    assert issubclass(loose.exploration.UserCodeError, cc.InputError)

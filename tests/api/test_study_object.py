@@ -147,6 +147,7 @@ def test_the_index_of_the_table_names_recordings_and_courses(explored):
         assert isinstance(recording, Recording)
         metric = METRICS.create("wttc")
         course = metric.course(recording, "Ego", "Pedestrian")
+        # As the metric gives it, without its cap.
         np.testing.assert_array_equal(explored.course(scenario), course)
         assert metric.score(course) == table.loc[scenario, "wttc"]
 
@@ -347,8 +348,11 @@ def test_what_is_no_object_is_named(argument, says, problem, tmp_path):
 def test_what_is_no_simulator_and_no_driver_is_named(problem, tmp_path):
     with pytest.raises(cc.InputError, match="`simulator`: Builtin is a class; give an object of it"):
         cc.Study.create(tmp_path / "study.db", problem, Builtin)  # type: ignore[arg-type]
-    for driver in (3, Own):
-        with pytest.raises(cc.InputError, match=r"`drivers` Ego=.*: give the name of a driver, or an instance"):
+    for driver, says in (
+        (3, "`drivers` Ego=3: give the name of a driver, or an instance"),
+        (Own, "`drivers` Ego: Own is a class; give an object of it, as in drivers="),
+    ):
+        with pytest.raises(cc.InputError, match=says):
             Builtin(drivers={"Ego": driver})  # type: ignore[dict-item]
 
 

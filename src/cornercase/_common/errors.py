@@ -24,9 +24,18 @@ class InputError(ValueError):
 
 
 class ExpressionError(InputError):
-    """An expression that cannot be parsed.
+    """A formula, a requirement or a condition that cannot be read.
 
-    The message has two more lines: the text of the expression, and a caret below the error.
+    Parameters
+    ----------
+    sentence : str
+        What is wrong, and what to write instead.
+    excerpt : str, optional
+        Two more lines of the message: the text of the expression, and a caret below the error.
+
+    Attributes
+    ----------
+    excerpt : str
     """
 
     def __init__(self, sentence: str, excerpt: str = "") -> None:
@@ -35,7 +44,10 @@ class ExpressionError(InputError):
 
 
 class UserCodeError(InputError):
-    """The user's own code raised an exception, which is the cause of this one."""
+    """The user's own code raised an exception, which is the `__cause__` of this one.
+
+    The message names the part, such as the optimizer or the metric, and the exception.
+    """
 
 
 class SimulationError(RuntimeError):

@@ -10,7 +10,7 @@ from functools import lru_cache, partial
 from importlib import metadata
 from importlib.metadata import EntryPoint, EntryPoints
 from inspect import Parameter, signature
-from typing import Any, Final, Generic, TypeVar, cast
+from typing import Any, Final, Generic, NoReturn, TypeVar, cast
 
 from cornercase._common.configurable import annotated_types, declared_options
 from cornercase._common.errors import InputError, suggest_name
@@ -165,6 +165,11 @@ class Registry(Generic[T]):
 
     def __len__(self) -> int:
         return len(self.names())
+
+    def __getitem__(self, name: object) -> NoReturn:
+        raise TypeError(
+            f"A registry has no items; create({name!r}) makes the {self._kind}, and get_class({name!r}) is its class."
+        )
 
     def __repr__(self) -> str:
         return f"<Registry ({self._kind}): {', '.join(self)}>"

@@ -15,12 +15,18 @@ _WORKERS: Final = "give `runs=Runs(workers=…)`."
 # Arguments by what another library calls them: the option that takes their place, and what to say if it has another
 # meaning.
 _ARGUMENT_SYNONYMS: Final = (
+    ("callbacks", "stop", "call `explore` in a loop with a growing `budget`, and do there what a callback would."),
+    ("condition", "critical_if", ""),
     ("direction", "metrics", "each metric says whether low or high scores are critical."),
     ("drivers", "simulator", "the simulator holds them: give `simulator=Builtin(drivers={…})`."),
     ("n_jobs", "runs", _WORKERS),
     ("n_jobs", "workers", ""),
+    ("n_clusters", "eps", "clusters are found by density; a smaller `eps` splits them, a larger one merges them."),
     ("n_trials", "budget", ""),
+    ("runs", "workers", "give the options of Runs themselves, as in `workers=4`."),
     ("sampler", "optimizer", ""),
+    ("stop", "stop_when", ""),
+    ("threshold", "critical", ""),
     ("timeout", "stop", "give `stop=stop.seconds(…)`."),
     ("workers", "runs", _WORKERS),
 )
@@ -30,6 +36,7 @@ ATTRIBUTE_SYNONYMS: Final = {
     "best_trial": _BEST,
     "best_trials": "use `pareto_front()`.",
     "best_value": _BEST,
+    "compare": "use `cornercase.compare(old, new)`.",
     "create_study": "use `Study.create`.",
     "optimize": "use `explore`.",
     "trials": "use `table()`.",

@@ -260,7 +260,10 @@ class Study(PathLike[str]):
 
     @property
     def problem(self) -> Problem:
-        """The problem that is searched; for an opened study, this reads the scenario file."""
+        """The problem that is searched; for an opened study, this reads the scenario file.
+
+        `InputError` if there is none, as for imported recordings.
+        """
         if self._problem is not None:
             return self._problem
         with self._read() as file, name_arguments_of_objects():
@@ -348,7 +351,9 @@ class Study(PathLike[str]):
             result.
         warm_start : Study or path, optional
             Earlier study with the same parameters, but another driver, simulator or time step; the search begins with
-            its scores.
+            its scores. Its ranges may differ: scenarios outside of these are left out. Metrics that it lacks, or that
+            it measured against other entities, are measured from its recordings; a condition has to be the same. At
+            least 10 different scores are needed. Only ``LevelSet()`` and ``Committee()`` learn from it.
         retry_failed : bool, default False
             Run the failed scenarios of the study again before the search goes on.
         progress : bool, optional
@@ -897,7 +902,9 @@ class Study(PathLike[str]):
         Returns
         -------
         ndarray of float64, shape (T,)
-            In the metric's unit, at the times of `recording`.
+            In the metric's unit, at the times of `recording`; as the metric gives it: NaN where it is not defined,
+            ``inf`` where what it measures never comes. The cap does not limit it: only scores and the comparison of
+            courses use that. Of several other entities, that against which the scenario is most critical.
 
         Raises
         ------
@@ -940,8 +947,8 @@ class Study(PathLike[str]):
             file.snapshot(),
         ):
             estimates = estimate_critical(file)
-        if estimates is None:
-            raise InputError(f"{self.path}: no scenario was run, or nothing says what is critical; give `threshold`.")
+            if estimates is None:
+                raise InputError(_describe_unknown_critical(file))
         return estimates
 
     @suggest_arguments

@@ -15,6 +15,7 @@ from cornercase._common.memory import DEFAULT_MEMORY, MemoryLimit
 from cornercase._common.process.dask import open_connection
 from cornercase._common.progress import ProgressBar, show_bars
 from cornercase._common.typing import FloatArray, IntArray
+from cornercase._common.unknown_names import suggest_arguments
 from cornercase._common.validation import check_str_sequence
 from cornercase.clustering._agreement import collect_facts, mutual_information_with_facts
 from cornercase.clustering._assign import refit
@@ -58,6 +59,7 @@ _BYTES_PER_WAITING_PAIR: Final = 20
 _BYTES_PER_SCENARIO: Final = 8_000
 
 
+@suggest_arguments
 def analyze(
     study: StudyFile | Path | str,
     by: str | Sequence[str] | None = None,

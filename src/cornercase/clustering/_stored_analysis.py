@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from cornercase.clustering.naming._profiles import Profile
 from cornercase.clustering.naming._rules import Rule
 from cornercase.study import StudyFile
 from cornercase.study._damage import dataclass_from_json, require_value, reraise_as_damage
+from cornercase.study._study_file import open_study
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -174,12 +176,12 @@ def analysis_to_storage(
     return arrays, info
 
 
-def read_analysis(study: StudyFile, by: str) -> Analysis:
+def read_analysis(study: StudyFile | Path | str, by: str) -> Analysis:
     """Read the stored analysis of a study by one aspect.
 
     Parameters
     ----------
-    study : StudyFile
+    study : Study, StudyFile or path
         Analysed before.
     by : str
         Aspect.
@@ -194,6 +196,11 @@ def read_analysis(study: StudyFile, by: str) -> Analysis:
     InputError
         The study was not analysed by this aspect, or the stored analysis is damaged.
     """
+    with open_study(study, readonly=True) as opened:
+        return _read_analysis(opened, by)
+
+
+def _read_analysis(study: StudyFile, by: str) -> Analysis:
     run = {row.id for row in study.finished_rows()}
     arrays, info = study.read_analysis(by, "ids", "labels", "embedding", "landmarks")
     with reraise_as_damage(study.path):
@@ -261,12 +268,12 @@ def _profiles_from_storage(info: Mapping[str, Any]) -> tuple[Profile, ...]:
     return tuple(profiles)
 
 
-def read_analyses(study: StudyFile) -> dict[str, Analysis]:
+def read_analyses(study: StudyFile | Path | str) -> dict[str, Analysis]:
     """Read all stored analyses of a study.
 
     Parameters
     ----------
-    study : StudyFile
+    study : Study, StudyFile or path
         Analysed before.
 
     Returns
@@ -274,15 +281,16 @@ def read_analyses(study: StudyFile) -> dict[str, Analysis]:
     dict of str to Analysis
         By aspect: the ego's trajectory first, the metrics last.
     """
-    return {by: read_analysis(study, by) for by in study.analyzed_aspects()}
+    with open_study(study, readonly=True) as opened:
+        return {by: _read_analysis(opened, by) for by in opened.analyzed_aspects()}
 
 
-def read_distances(study: StudyFile, by: str) -> Distances:
+def read_distances(study: StudyFile | Path | str, by: str) -> Distances:
     """Read the distances by which the scenarios of a study were clustered.
 
     Parameters
     ----------
-    study : StudyFile
+    study : Study, StudyFile or path
         Analysed before.
     by : str
         Aspect.
@@ -299,6 +307,11 @@ def read_distances(study: StudyFile, by: str) -> Distances:
     InputError
         The study was not analysed by this aspect, or the stored analysis is damaged.
     """
+    with open_study(study, readonly=True) as opened:
+        return _read_distances(opened, by)
+
+
+def _read_distances(study: StudyFile, by: str) -> Distances:
     if study.read_analysis(by, "ids")[1].get("inexact") is not None:
         arrays, _ = study.read_analysis(by, "ids", "places")
         with reraise_as_damage(study.path):

@@ -70,6 +70,11 @@ def _check_driver(entity: str, driver: object) -> str | Driver:
         return driver
     if is_driver(driver):
         return driver
+    if isinstance(driver, type):
+        raise InputError(
+            f"`drivers` {entity}: {driver.__name__} is a class; give an object of it, as in"
+            f" drivers={{{entity!r}: {driver.__name__}()}}."
+        )
     raise InputError(f"`drivers` {entity}={repr_short(driver)}: give the name of a driver, or an instance.")
 
 

@@ -2,6 +2,7 @@ from ._estimate import estimate as estimate
 from ._estimation import Estimation as Estimation
 from ._explore import explore as explore
 from ._explorer import ExplorationResult as ExplorationResult
+from ._explorer import UserCodeError as UserCodeError
 from ._paper_examples import examples_folder as examples_folder
 from ._problem import Problem as Problem
 from ._repair import RepairResult as RepairResult

@@ -57,7 +57,7 @@ class PendingCondition:
 
 def scenario_for_reference(config: ExplorationConfig, row: ScenarioRecord) -> ConcreteScenario:
     """Return the concrete scenario without what is varied of the ego's own driver."""
-    return config.logical.concrete_scenario(row.values, config.seed).without_driver_parameters(config.ego)
+    return config.concrete_scenario(row.values, config.seed).without_driver_parameters(config.ego)
 
 
 class ReferenceRuns:

@@ -32,7 +32,7 @@ from cornercase.metrics._other_entities import ALL_OTHERS, resolve_others
 from cornercase.metrics._own_metrics import StoredMetric, as_items, name_or_own_metric, resolve_metrics
 from cornercase.optimizers import OPTIMIZERS, Optimizer
 from cornercase.optimizers._missing import known_optimizer
-from cornercase.scenario import LogicalScenario
+from cornercase.scenario import ConcreteScenario, LogicalScenario, Value
 from cornercase.scenario._file import ScenarioFile
 from cornercase.simulators import SIMULATORS, Simulator
 from cornercase.simulators._base import COMMON_OPTIONS
@@ -142,6 +142,10 @@ class ExplorationConfig(ExplorationOptions):
                 f" {MIN_DECISIVE_RUNS} or more, or only `repeats` {limit}."
             )
         return limit
+
+    def concrete_scenario(self, values: Mapping[str, Value], seed: int = 0) -> ConcreteScenario:
+        """Return a concrete scenario with values of the space, which need not be checked again."""
+        return ConcreteScenario(self.logical.path, dict(values), self.logical.file, seed)
 
     def require_entities(self) -> None:
         """Raise `InputError` if the ego, another entity or an entity with a driver is not in the scenario."""

@@ -8,6 +8,7 @@ import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from inspect import signature
 from pathlib import Path
 from typing import Final, Unpack
 
@@ -17,6 +18,7 @@ from cornercase._common.errors import InputError
 from cornercase._common.io.files import check_output_differs_from_source
 from cornercase._common.option import check_options, document_options
 from cornercase._common.typing import FloatArray
+from cornercase._common.unknown_names import refuse_unknown
 from cornercase._common.validation import check_bool, check_float, check_int, check_path
 from cornercase.drivers._resolve import DriverLike
 from cornercase.evidence._rare_events import ImportanceSampling, initial_proposal
@@ -119,6 +121,7 @@ def estimate(
     budget, seed = check_int("budget", budget, minimum=_MIN_BUDGET), check_int("seed", seed)
     encounter = check_float("encounter", encounter, minimum=0.0)
     check_bool("progress", progress)
+    refuse_unknown("estimate", [*signature(estimate).parameters, *RUN_OPTIONS], options)
     run_options = check_options("estimate", RUN_OPTIONS, options)
     with StudyFile.open(study_file, readonly=True) as source:
         if _ESTIMATE_OPTIMIZER_NAME.fullmatch(source.meta.optimizer):

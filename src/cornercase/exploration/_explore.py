@@ -27,7 +27,7 @@ from cornercase.exploration._varied_file import open_logical_scenario
 from cornercase.exploration._verify_proposals import verify_proposals
 from cornercase.exploration._warm_start import WarmStart, read_warm_start
 from cornercase.metrics import Metric
-from cornercase.optimizers import Optimizer
+from cornercase.optimizers import OPTIMIZERS, Optimizer
 from cornercase.scenario import LogicalScenario
 from cornercase.simulators import Simulator
 from cornercase.simulators._create import create_simulator
@@ -126,11 +126,11 @@ def _verify_proposals_of_study(config: ExplorationConfig, study: Path) -> Explor
 
 def _make_objective_and_optimizer(config: ExplorationConfig) -> tuple[Objective, Optimizer]:
     """Create the objective, and a fresh optimizer for it."""
-    objective = config.make_objective()
-    optimizer = config.start_optimizer(objective)
-    if config.pareto and not optimizer.multi_objective:
+    # Before the objective: a search that needs a threshold would only be told that a front has none.
+    if config.pareto and not OPTIMIZERS.get_class(config.optimizer).multi_objective:
         raise InputError(f"`pareto`: {config.optimizer} takes one score; use evolutionary, or optuna:sampler=nsga2.")
-    return objective, optimizer
+    objective = config.make_objective()
+    return objective, config.start_optimizer(objective)
 
 
 def _load_warm_start(
@@ -182,7 +182,7 @@ def _run_exploration(
         check_simulator_accepts(
             simulator,
             [config.logical.scenario_file],
-            [config.logical.concrete_scenario(values) for values in sample_values],
+            [config.concrete_scenario(values) for values in sample_values],
         )
         warn_notices(_notices_at_center(config, simulator))
         warn_if_ego_has_no_driver(simulator, [config.logical.scenario_file], config.ego)

@@ -12,6 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from cornercase._common.errors import UserCodeError as UserCodeError
 from cornercase._common.plugin_errors import group_failure_messages
 from cornercase._common.process.signals import collect_interrupts
 from cornercase._common.progress import ProgressBar

@@ -27,6 +27,7 @@ _NAME_IN_OBJECTS: Final = {
     "critical_if": "condition",
     "output": "path",
     "id": "scenario",
+    "max_failures": "runs=Runs(max_failures=…)",
     "stop_when": "stop",
     "study": "path",
 }

@@ -166,7 +166,7 @@ class ScenarioRunner:
         return [self._make_concrete(repeated_run.row, run) for run in runs]
 
     def _make_concrete(self, row: ScenarioRecord, run: int) -> ConcreteScenario:
-        return self._config.logical.concrete_scenario(row.values, seed_of_run(self._config.seed, run))
+        return self._config.concrete_scenario(row.values, seed_of_run(self._config.seed, run))
 
     def record_outcomes(self, repeated_run: RepeatedRun, outcomes: Sequence[Recording | SimulationError]) -> Any:
         """Measure finished runs, and store the scenario if it needs no further run.
@@ -229,7 +229,8 @@ class ScenarioRunner:
         if 0 < self._config.max_failures <= self._n_exceptions and not self._study.finished_rows():
             raise InputError(
                 f"The first {self._n_exceptions} scenarios all failed, so no more are run; in the last one"
-                f" {self._last_error}. Fix it, and run the same command again; `max_failures` is the limit."
+                f" {self._last_error}. Fix it, and run the same command again; `max_failures` is the limit, and 0"
+                " keeps the failed scenarios."
             )
 
     def simulate(

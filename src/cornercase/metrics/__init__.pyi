@@ -11,6 +11,7 @@ from ._critical_if import CriticalIf as CriticalIf
 from ._distance import Clearance as Clearance
 from ._distance import Distance as Distance
 from ._expression import Expression as Expression
+from ._expression import ExpressionError as ExpressionError
 from ._features import FEATURES as FEATURES
 from ._features import Feature as Feature
 from ._features import FeatureGroup as FeatureGroup

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from cornercase._common.errors import ExpressionError as ExpressionError
 from cornercase._common.typing import FloatArray
 from cornercase.metrics._evaluation import Evaluation
 from cornercase.metrics._registry import METRICS

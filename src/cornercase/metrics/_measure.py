@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, NoReturn
 
 import numpy as np
 
@@ -87,6 +87,9 @@ class Measurement:
         import pandas as pd
 
         return pd.DataFrame(dict(self.courses), index=pd.Index(self.time, name="time"))
+
+    def __getitem__(self, name: object) -> NoReturn:
+        raise TypeError(f"A Measurement has no items; use scores[{name!r}], courses[{name!r}] or units[{name!r}].")
 
     def __repr__(self) -> str:
         rows = [self.column_names(), *self.rows()]

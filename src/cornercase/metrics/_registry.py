@@ -8,7 +8,13 @@ from cornercase._common.registry import Registry
 from cornercase.metrics._base import Metric
 
 METRICS: Final[Registry[Metric]] = Registry("metric", "cornercase.metrics", Metric)
-"""Criticality metrics by name."""
+"""Criticality metrics by name.
+
+A registry: ``METRICS.names()`` are the names, ``METRICS.create("ttc:accelerating=true")`` makes a metric, and
+``METRICS.get_class("ttc")`` is its class. A metric has the attributes ``unit``, ``lower_is_critical``,
+``default_threshold`` and ``cap``: ``METRICS.create("wttc").unit`` is ``"s"``. ``METRICS.register`` adds a class of your
+own, so that texts can name it.
+"""
 
 for _name, _target in (
     ("a-lat-req", "_steering:LateralAcceleration"),

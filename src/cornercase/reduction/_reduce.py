@@ -16,6 +16,7 @@ from cornercase._common.io.support_table import issue_notice_warning
 from cornercase._common.memory import DEFAULT_MEMORY, MemoryLimit
 from cornercase._common.progress import show_bars
 from cornercase._common.typing import FloatArray, IntArray
+from cornercase._common.unknown_names import suggest_arguments
 from cornercase._common.validation import check_float, check_int, check_str
 from cornercase.clustering import Analysis, read_analyses, read_analysis
 from cornercase.clustering._embedding import Distances
@@ -70,6 +71,7 @@ _REASONS: Final = {
 }
 
 
+@suggest_arguments
 def reduce(
     study: StudyFile | Path | str,
     folder: Path | str,

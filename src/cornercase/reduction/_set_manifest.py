@@ -6,6 +6,7 @@ import hashlib
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, fields
+from pathlib import Path
 from typing import Any, Final, get_args
 
 import numpy as np
@@ -24,6 +25,7 @@ from cornercase.reduction._reduced_set import ReducedSet, SelectedScenario
 from cornercase.reduction._selection_state import Role
 from cornercase.study import StudyFile
 from cornercase.study._damage import dataclass_from_json, require_value, reraise_as_damage
+from cornercase.study._study_file import open_study
 
 MANIFEST_FORMAT: Final = 2
 """Version of the manifest's format."""
@@ -142,12 +144,12 @@ def _fingerprint(analysis: Analysis) -> str:
     return hashlib.sha256(analysis.ids.tobytes() + analysis.clustering.embedding.tobytes()).hexdigest()
 
 
-def read_reduction(study: StudyFile) -> ReducedSet | None:
+def read_reduction(study: StudyFile | Path | str) -> ReducedSet | None:
     """Read the stored reduced set of a study.
 
     Parameters
     ----------
-    study : StudyFile
+    study : Study, StudyFile or path
         Holds the scenarios.
 
     Returns
@@ -160,6 +162,11 @@ def read_reduction(study: StudyFile) -> ReducedSet | None:
     InputError
         The stored reduced set is damaged.
     """
+    with open_study(study, readonly=True) as opened:
+        return _read_reduction(opened)
+
+
+def _read_reduction(study: StudyFile) -> ReducedSet | None:
     info = study.read_reduction()
     if info is None:
         return None

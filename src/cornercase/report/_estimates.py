@@ -69,7 +69,7 @@ class CriticalEstimates:
         DataFrame
             One row per fraction, indexed by what it is of: ``fraction``, the bounds ``low`` and ``high`` of its 90 %
             interval, and ``no interval``, the reason if there is none. ``audits`` are rows of their own. Empty if too
-            few scenarios were run.
+            few scenarios were run, or if all have the same score.
         """
         import pandas as pd
 
@@ -96,7 +96,7 @@ class CriticalEstimates:
     def _facts(self) -> list[str]:
         facts = [f"{self.n_critical} of {self.n_run} scenarios are critical (score {self.criterion})"]
         if self.critical_set is None:
-            return [*facts, "too few scenarios for estimates about the whole space"]
+            return [*facts, "too few scenarios with different scores for estimates about the whole space"]
         return facts + self.critical_set.descriptions()
 
 

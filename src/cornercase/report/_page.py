@@ -23,6 +23,7 @@ from cornercase._common.io.support_table import issue_notice_warning
 from cornercase._common.memory import DEFAULT_MEMORY, MemoryLimit
 from cornercase._common.progress import progress_step, show_bars
 from cornercase._common.text.sanitize import escape_control_characters
+from cornercase._common.unknown_names import suggest_arguments
 from cornercase.report._event_payload import find_events_of_scenarios
 from cornercase.report._expected_runs import ExpectedRuns, read_expected_runs
 from cornercase.report._failure_page import render_failure_page
@@ -64,6 +65,7 @@ CONTENT_SECURITY_POLICY: Final = (
 """Content security policy: nothing is loaded from outside, and only the page's own scripts run."""
 
 
+@suggest_arguments
 def write_report(
     study: StudyFile | Path | str,
     path: Path | str,

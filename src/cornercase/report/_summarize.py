@@ -6,11 +6,13 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+from cornercase._common.unknown_names import suggest_arguments
 from cornercase.report._summary import Summary, entities_hit_by_ego, summarize_with_collisions
 from cornercase.study import StudyFile
 from cornercase.study._study_file import open_study
 
 
+@suggest_arguments
 def summarize(study: StudyFile | Path | str, *, critical: float | None = None) -> Summary:
     """Summarize what was run in a study, and what was found.
 

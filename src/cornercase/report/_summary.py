@@ -133,6 +133,18 @@ class Summary:
         Bands of criticality by metric, without metrics whose scores are all the same.
     replies : ReplyCounts or None
         What the ego did about its collisions, and what else would have avoided them; None without collisions.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> folder = "examples/x_intersection/x_intersection"
+    >>> scenario = cc.LogicalScenario.read(f"{folder}.xosc", f"{folder}.space.xosc")
+    >>> problem = cc.Problem(scenario, ego="Ego", other="Pedestrian", metrics=["wttc"], threshold=0.2)
+    >>> study = cc.Study.create("summarized.db", problem)
+    >>> _ = study.explore("sobol", budget=20)
+    >>> summary = study.summary()
+    >>> summary.n_run, summary.metrics["wttc"].unit, summary.reduced_set
+    (20, 's', None)
     """
 
     meta: StudyMeta

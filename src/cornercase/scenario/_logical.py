@@ -12,7 +12,7 @@ import numpy as np
 
 from cornercase._common.errors import InputError
 from cornercase._common.unknown_names import suggest_arguments
-from cornercase._common.validation import check_bool, check_float, check_path, check_str
+from cornercase._common.validation import check_bool, check_float, check_parameter_values, check_path, check_str
 from cornercase.scenario._constraints import read_declarations
 from cornercase.scenario._file import ScenarioFile
 from cornercase.scenario._parameter import Value
@@ -20,7 +20,7 @@ from cornercase.scenario._range_syntax import create_range, format_ranges
 from cornercase.scenario._road_choices import add_varied_roads
 from cornercase.scenario._scope import Scope
 from cornercase.scenario._space import ParameterSpace
-from cornercase.scenario._types import convert_to_type
+from cornercase.scenario._types import convert_to_type, find_type_errors
 from cornercase.scenario._xml import XmlFileCache
 
 _OWN_SIMULATOR_HINT: Final = (
@@ -267,8 +267,18 @@ class LogicalScenario:
         Returns
         -------
         ConcreteScenario
+
+        Raises
+        ------
+        InputError
+            The file declares no such parameter, or a value does not have the declared type.
         """
-        return ConcreteScenario(self.path, dict(values), self.file, seed)
+        given = check_parameter_values("values", values)
+        self.scenario_file.require_declared(list(given))
+        declarations = read_declarations(self.scenario_file.root, str(self.path))
+        for problem in find_type_errors(declarations, [given]).values():
+            raise InputError(f"`values`: {problem}.")
+        return ConcreteScenario(self.path, given, self.file, seed)
 
 
 def _evaluate_all_parameters(scenario: ScenarioFile, assigned: Mapping[str, Value]) -> dict[str, Value]:

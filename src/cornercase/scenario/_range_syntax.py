@@ -67,8 +67,9 @@ def create_range(
     if may_be_fixed and low == high:
         return Parameter(name, low, high, step or 1.0)
     if low >= high:
+        fix = f"; in Python, vary({name!r}, {low:g}, {high:g}) fixes it" if low == high else ""
         raise InputError(
-            f"{location}: the range of {name} is {low:g} to {high:g}; the lower bound must be below the upper."
+            f"{location}: the range of {name} is {low:g} to {high:g}; the lower bound must be below the upper{fix}."
         )
     if step is not None and not 0 < step <= high - low:
         raise InputError(f"{location}: the step of {name} must be above 0 and at most {high - low:g}.")

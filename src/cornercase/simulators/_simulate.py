@@ -13,7 +13,7 @@ from cornercase._common.text.source_lines import prefix_file
 from cornercase._common.validation import check_int, check_parameter_values
 from cornercase.drivers._resolve import DriverLike, resolve_driver
 from cornercase.recordings import Recording
-from cornercase.scenario import ConcreteScenario, Value
+from cornercase.scenario import ConcreteScenario, LogicalScenario, Value
 from cornercase.scenario._file import ScenarioFile
 from cornercase.simulators._base import Simulator
 from cornercase.simulators._common_options import split_common_options
@@ -86,6 +86,13 @@ def simulate(
     >>> simulators.simulate(scenario, {"ego_start": 40.0}, duration=2.0).names
     ('Ego', 'Truck', 'C', 'Pedestrian')
     """
+    given: object = scenario
+    if isinstance(given, ConcreteScenario | LogicalScenario):
+        values_hint = "scenario.values" if isinstance(given, ConcreteScenario) else "{'NAME': value}"
+        raise InputError(
+            f"`scenario`: is a {type(given).__name__}; give its file and the values, as in"
+            f" simulate(scenario.path, {values_hint})."
+        )
     file = scenario if isinstance(scenario, ScenarioFile) else ScenarioFile.read(scenario)
     checked_values, seed = check_parameter_values("values", values), check_int("seed", seed, 0)
     file.require_declared(list(checked_values))

@@ -51,7 +51,7 @@ class StopCriterion(StopRule):
 
     def __post_init__(self) -> None:
         for name in ("bound", "size"):
-            object.__setattr__(self, name, _check_fraction(getattr(self, name), str(self)))
+            object.__setattr__(self, name, _check_fraction(getattr(self, name), f"`{name}`:"))
 
     @classmethod
     def parse(cls, text: str) -> StopCriterion:
@@ -64,8 +64,9 @@ class StopCriterion(StopRule):
             )
         if match["size"] is not None and match["what"] not in _SIZED_QUANTITIES:
             raise InputError(f"`stop_when` {text}: only overlooked and unvisited accept a size.")
-        size = _check_fraction(match["size"], text) if match["size"] else MIN_REGION_FRACTION
-        return cls(match["what"], _check_fraction(match["below"], text), size)
+        named = f"`stop_when` {text}:"
+        size = _check_fraction(match["size"], named) if match["size"] else MIN_REGION_FRACTION
+        return cls(match["what"], _check_fraction(match["below"], named), size)
 
     def __str__(self) -> str:
         size = f"({self.size})" if self.quantity in _SIZED_QUANTITIES else ""
@@ -325,11 +326,12 @@ def _parse_rule(text: str) -> StopRule:
     return NoImprovement(check_int("patience", int(number) if number.is_integer() else number, 1))
 
 
-def _check_fraction(value: object, criterion: str) -> float:
+def _check_fraction(value: object, name: str) -> float:
     try:
         number = float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError):
         number = inf
     if not 0.0 < number <= 1.0:
-        raise InputError(f"`stop_when` {criterion}: '{value}' has to be a number above 0 and up to 1.")
+        shown = f"'{value}'" if isinstance(value, str) else repr_short(value)
+        raise InputError(f"{name} {shown} has to be a number above 0 and up to 1.")
     return number

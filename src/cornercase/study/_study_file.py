@@ -86,9 +86,16 @@ class StudyFile:
         Description of the study.
     space : ParameterSpace
         The parameter space.
+
+    Raises
+    ------
+    InputError
+        `database` is a path, which `open` takes.
     """
 
     def __init__(self, database: Database, critical: float | None = None) -> None:
+        if not isinstance(database, Database):
+            raise InputError("`StudyFile`: to open the study at a path, use StudyFile.open(path).")
         self._database, self._critical = database, critical
         self.path = database.path
         self.meta = self.read_meta()

@@ -97,6 +97,20 @@ class SuiteResult:
         Number of scenarios whose stored results were judged without running them again.
     kill_matrix : KillMatrix or None
         Which scenarios, by id, kill which mutants of the ego's driver; None if no mutants were run.
+
+    Examples
+    --------
+    A folder of concrete scenarios is a suite; here it has one.
+
+    >>> import shutil
+    >>> import cornercase as cc
+    >>> _ = shutil.copytree("examples/x_intersection", "suite", ignore=shutil.ignore_patterns("*.space.xosc"))
+    >>> suite = cc.Suite.open("suite", ego="Ego", other="Pedestrian")
+    >>> result = suite.run("run.db", require=["no collision"])
+    >>> bool(result), result.count_scenarios("passed"), len(result.table())
+    (True, 1, 1)
+    >>> result.junit("out.xml").name
+    'out.xml'
     """
 
     study: Path

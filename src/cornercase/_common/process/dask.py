@@ -20,7 +20,7 @@ from cornercase._common.io.files import read_file
 from cornercase._common.platform import block_interrupts
 from cornercase._common.process.parent_death import set_temporary_folder
 from cornercase._common.process.reaper import Reaper
-from cornercase._common.validation import check_str
+from cornercase._common.validation import check_int, check_str
 
 if TYPE_CHECKING:
     from distributed import Client, Future, SpecCluster, WorkerPlugin
@@ -238,6 +238,7 @@ def open_connection(
     If `cluster` is a client, it stays open. With `workers_need_cluster`, more than one worker without a cluster is an
     `InputError`.
     """
+    workers = check_int("workers", workers, 1)
     if cluster is None:
         if workers_need_cluster and workers > 1:
             raise InputError("`workers`: needs a local cluster; give `cluster` 'local' too.")

@@ -16,6 +16,7 @@ from cornercase._common import validation
 from cornercase._common.errors import InputError
 from cornercase._common.extras import describe_install
 from cornercase._common.process.signals import last_signal
+from cornercase._common.unknown_names import suggest_arguments
 from cornercase.report.live._analysis_worker import AnalysisWorker
 from cornercase.report.live._events import EventStream
 from cornercase.report.live._follower import StudyFollower
@@ -27,6 +28,7 @@ _SHUTDOWN_SECONDS: Final = 2
 _BACKLOG: Final = 100
 
 
+@suggest_arguments
 def watch(
     study: Path | str,
     *,

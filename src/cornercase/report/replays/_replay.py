@@ -14,6 +14,7 @@ from cornercase._common.io.files import atomic_write, check_output_differs_from_
 from cornercase._common.io.support_table import issue_notice_warning
 from cornercase._common.progress import ProgressBar
 from cornercase._common.typing import FloatArray
+from cornercase._common.unknown_names import suggest_arguments
 from cornercase.report._road_drawing import is_missing_map
 from cornercase.report.replays._replay_data import ReplayData, read_replay_data
 from cornercase.scenario._file import ScenarioFile
@@ -33,6 +34,7 @@ _DPI: Final = {".gif": 75, ".mp4": 100}
 _MAX_FRAMES: Final = 20_000
 
 
+@suggest_arguments
 def replay(
     study: StudyFile | Path | str,
     id: int,  # noqa: A002

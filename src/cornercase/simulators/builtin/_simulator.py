@@ -14,7 +14,7 @@ from weakref import WeakSet
 from cornercase._common.errors import InputError, SimulationError
 from cornercase._common.io.support_table import Notice
 from cornercase._common.platform import count_available_cpus
-from cornercase._common.text.source_lines import prefix_file
+from cornercase._common.text.source_lines import prefix_file, remove_file_prefix
 from cornercase._common.version import __version__
 from cornercase.drivers._resolve import DriverLike, check_drivers, is_compiled_driver_name
 from cornercase.recordings import Recording
@@ -57,6 +57,14 @@ class Builtin(Simulator):
     ------
     InputError
         An option is out of range.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> simulator = cc.simulators.Builtin(drivers={"Ego": "normal:horizon=4"}, duration=10.0)
+    >>> recording = cc.simulate("examples/x_intersection/x_intersection.xosc", simulator=simulator)
+    >>> recording.time[-1] <= 10.0, recording.object_types
+    (True, ('car', 'truck', 'car', 'pedestrian'))
     """
 
     name = "builtin"
@@ -165,6 +173,9 @@ class Builtin(Simulator):
         prepared = self._prepare(run.concretes[indices[0]])
         for entity in self._drivers:
             prepared.scenario.require_entity(entity, "driven entity")
+        undeclared = _find_undeclared_values(prepared.scenario, run.concretes, indices)
+        run.progress.update((i, SimulationError(reason)) for i, reason in undeclared.items())
+        indices = [i for i in indices if i not in undeclared]
         names = {name for i in indices for name in run.concretes[i].values}
         find_parameters_of_drivers(prepared.scenario, self._drivers, names)
         invalid = prepared.find_invalid_values([run.concretes[i].values for i in indices])
@@ -316,6 +327,21 @@ def _collect_results(entries: list[_BatchIndexOrError], gil_lock: Lock) -> list[
                 indices.setdefault(entry[0], []).append(entry[1])
         results = {future: iter(future.result().results(chosen, gil_lock)) for future, chosen in indices.items()}
         return [entry if isinstance(entry, SimulationError) else next(results[entry[0]]) for entry in entries]
+
+
+def _find_undeclared_values(
+    scenario: ScenarioFile, concretes: Sequence[ConcreteScenario], indices: list[int]
+) -> dict[int, str]:
+    """Return, by index, why scenarios have a value that the file declares no parameter for."""
+    reasons: dict[int, str] = {}
+    names_of_scenarios = {i: tuple(concretes[i].values) for i in indices}
+    for names in set(names_of_scenarios.values()):
+        try:
+            scenario.require_declared(names)
+        except InputError as error:
+            reason = remove_file_prefix(str(scenario.path), str(error).removesuffix("."))
+            reasons |= {i: reason for i, own in names_of_scenarios.items() if own == names}
+    return reasons
 
 
 def _group_by_split_parameters(
