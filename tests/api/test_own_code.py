@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -425,6 +426,24 @@ def test_a_driver_with_an_option_that_a_study_cannot_compare_is_refused(driver, 
     with pytest.raises(cc.InputError, match=expected):
         cc.run_suite(X.parent, tmp_path / "run.db", ego="Ego", other="*", drivers={"Ego": driver})
     assert isinstance(cc.simulate(X, drivers={"Ego": driver}, duration=1.0), cc.Recording)
+
+
+@dataclass
+class Remembers(cc.SystemUnderTest):
+    """Its list is a field that each scenario fills anew."""
+
+    seen: list[float] = field(default_factory=list)
+
+    def step(self, view, dt):
+        self.seen.append(view.time)
+        return -0.01 * len(self.seen)
+
+
+def test_a_field_with_a_list_of_its_own_is_no_option(problem, tmp_path):
+    study = cc.Study.create(tmp_path / "study.db", problem, Builtin(drivers={"Ego": Remembers()}, duration=1.0))
+    assert study.explore("sobol", budget=4).done == 4
+    with pytest.raises(cc.InputError, match="Remembers: its option `seen` is of type list"):
+        cc.Study.create(tmp_path / "other.db", problem, Builtin(drivers={"Ego": Remembers([1.0])}))
 
 
 def test_a_driver_that_says_its_list_in_its_settings_is_compared(problem, tmp_path):

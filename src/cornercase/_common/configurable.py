@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import fields, is_dataclass
+from dataclasses import MISSING, fields, is_dataclass
 from functools import wraps
 from inspect import Parameter, signature
 from typing import Any, ClassVar, Final, Self
@@ -120,12 +120,19 @@ def require_storable_options(
     `described` are options that the study compares in another way; `hint` says what to do.
     """
     stored = {*plain_options(configured), *configured.options_outside_name, *described}
+    defaults = _factory_defaults(configured)
     for name, value in given_options(configured).items():
-        if name not in stored:
+        if name not in stored and not (name in defaults and _is_equal(value, defaults[name])):
             raise InputError(
                 f"{type(configured).__qualname__}: its option `{name}` is of type {type(value).__name__}, which a study"
                 f" cannot store and compare; {hint}."
             )
+
+
+def _factory_defaults(configured: object) -> dict[str, Any]:
+    """Return new default values of the fields of a dataclass that a factory makes, such as an empty list."""
+    own_fields = fields(configured) if is_dataclass(configured) and not isinstance(configured, type) else ()
+    return {field.name: field.default_factory() for field in own_fields if field.default_factory is not MISSING}
 
 
 def format_option_value(value: object) -> str:
