@@ -192,6 +192,7 @@ def test_the_parameters_of_a_driver_are_a_driver(driven):
         (lambda s: loose.explore(X, "s.db", ego="Ego", other="C", metrics="wttc", condition="collision"), "'critical_if'"),
         (lambda s: loose.estimate(s, "e.db", threshold=1), r"estimate\(\) got .* 'threshold'; did you mean 'critical'"),
         (lambda s: loose.analyze(s, threshold=1), r"analyze\(\) got .* 'threshold'; did you mean 'critical'"),
+        (lambda s: loose.import_recordings("r", "s.db", threshold=1), r"import_recordings\(\) got .* did you mean 'critical'"),
         (lambda s: s.explore(callbacks=[print]), "call `explore` in a loop with a growing `budget`"),
         (lambda s: s.cluster(n_clusters=3), "a smaller `eps` splits them"),
     ],

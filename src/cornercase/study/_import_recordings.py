@@ -20,6 +20,7 @@ from cornercase._common import validation
 from cornercase._common.errors import InputError, SimulationError, is_machine_error, suggest_name
 from cornercase._common.io.files import read_file
 from cornercase._common.text.sanitize import check_comma_separated, unescape_csv_cell
+from cornercase._common.unknown_names import suggest_arguments
 from cornercase.metrics import Metric
 from cornercase.metrics._measure import evaluate_metrics
 from cornercase.metrics._other_entities import ALL_OTHERS, resolve_others
@@ -68,6 +69,7 @@ class ImportResult:
         return f"<ImportResult: {self.done} recordings measured, in {str(self.study)!r}{failures}>"
 
 
+@suggest_arguments
 def import_recordings(
     folder: Path | str,
     study: Path | str,
