@@ -253,12 +253,12 @@ def test_a_scenario_of_a_finite_space_is_critical_or_not_in_one_draw():
     space = ParameterSpace([Parameter("a", 0, 4, 1.0), Parameter("b", 0, 5, 1.0)])
     points = space.full_factorial()
     known = CriticalSet(space, points[::2], np.random.default_rng(0).normal(size=15), Criterion(0.0))
-    (at, weights), drawn = known._joint_points, known._parts_samples.joint_draws
+    (at, weights), drawn = known._joint_points, known._samples.joint_draws
     places = known._sample.points[at]
     assert len(np.unique(places, axis=0)) == len(places) == len(drawn) == 30
     assert weights.sum() == pytest.approx(1.0)
     # Scenarios that were run are known: the fractions differ by whole other scenarios.
-    shares = known._parts_samples.critical_fraction * 30
+    shares = known._samples.critical_fraction * 30
     assert shares.min() >= known._critical.sum() - 0.5
     assert shares.max() <= known._critical.sum() + 15.5
 
@@ -386,3 +386,27 @@ def test_features_of_the_recordings_find_what_one_process_of_the_scores_cannot()
     assert missed < 0.15
     assert known.missed_fraction.low <= missed <= known.missed_fraction.high
     assert known.critical_fraction.low <= true.mean() <= known.critical_fraction.high
+
+
+@pytest.mark.parametrize("search", [Sobol(), LevelSet()])
+def test_a_plateau_of_scores_at_the_threshold_is_critical_inside(search):
+    """As collisions are, whose times to collision are all 0: the score says nothing of how deep they lie."""
+
+    def distance_to_ball(points):
+        return np.maximum(np.linalg.norm(points - 0.6, axis=1) - 0.3, 0.0)
+
+    criterion = Criterion(0.0)
+    options = {"threshold": 0.0} if "threshold" in search.requires else {}
+    optimizer = search.start(CUBE, 0, **options)
+    points = np.zeros((0, CUBE.dimension))
+    while len(points) < 120:
+        new = optimizer.ask(10)
+        optimizer.tell(new, distance_to_ball(new))
+        points = np.concatenate([points, new])
+    known = CriticalSet(CUBE, points, distance_to_ball(points), criterion, initial_design=np.arange(120) < 24)
+    places = qmc.Sobol(CUBE.dimension, seed=1).random(4096)
+    truth = distance_to_ball(places) == 0.0
+    told = known.predict(places)
+    assert (told & truth).sum() >= 0.85 * truth.sum()
+    assert (told & truth).sum() >= 0.85 * told.sum()
+    assert known.critical_fraction.value == pytest.approx(truth.mean(), rel=0.3)

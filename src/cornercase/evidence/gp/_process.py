@@ -78,8 +78,17 @@ def squash_scale(scores: FloatArray) -> float:
 
 
 def squash_around_threshold(scores: FloatArray, criterion: Criterion, scale: float) -> FloatArray:
-    """Shift the threshold to 0, and compress scores far from it by a hyperbolic tangent of the given scale."""
-    return np.asarray(np.tanh(criterion.margins(scores) / scale))
+    """Shift the threshold to 0, and compress scores far from it by a hyperbolic tangent of the given scale.
+
+    Several scores that equal the threshold lie on a plateau of the score, as do those of collisions. How deep in the
+    critical set they are is unknown, so they count as one scale beyond the threshold. At the threshold itself, a
+    process would take each scenario beside them for not critical.
+    """
+    margins = criterion.margins(scores)
+    on_plateau = margins == 0.0
+    if on_plateau.sum() > 1:
+        margins = np.where(on_plateau, -scale, margins)
+    return np.asarray(np.tanh(margins / scale))
 
 
 def fit_boundary_process(
