@@ -15,9 +15,10 @@ def record(count, seed=0):
 
 
 def test_it_finds_how_far_to_trust_what_is_said():
-    a, b = ProbitCalibration(*record(4000)).draw_parameters(400, np.random.default_rng(1))
+    a, b, rate = ProbitCalibration(*record(4000)).draw_parameters(400, np.random.default_rng(1))
     assert a.mean() == pytest.approx(0.4, abs=0.1)
     assert b.mean() == pytest.approx(0.7, abs=0.1)
+    assert rate.mean() < 0.005
 
 
 def test_ten_times_as_many_predictions_are_not_ten_times_as_sure():
@@ -28,3 +29,17 @@ def test_ten_times_as_many_predictions_are_not_ten_times_as_sure():
     )
     # Ten correlated ones are not ten independent ones: those would narrow it with the root.
     assert few / many == pytest.approx(10.0**0.25, rel=0.15)
+
+
+def test_surprises_where_nothing_pointed_to_them_are_a_rate_of_their_own():
+    t, critical = record(400)
+    far = np.full(400, 6.0)
+    surprises = np.arange(400) % 20 == 0
+    calibration = ProbitCalibration(np.append(t, far), np.append(critical, surprises))
+    _, b, rate = calibration.draw_parameters(400, np.random.default_rng(1))
+    # One in twenty of what lies far away, and the rest is trusted as before.
+    assert rate.mean() == pytest.approx(0.05, rel=0.4)
+    assert b.mean() == pytest.approx(0.7, abs=0.2)
+    assert calibration.probability_of_critical(np.array([9.0]))[0] == pytest.approx(rate.mean(), rel=0.1)
+    clean = ProbitCalibration(np.append(t, far), np.append(critical, np.zeros(400, dtype=bool)))
+    assert clean.probability_of_critical(np.array([9.0]))[0] < 0.005

@@ -132,11 +132,11 @@ def test_the_level_of_groups_is_that_of_all_places():
     points = qmc.Sobol(3, seed=3).random(64)
     known = CriticalSet(CUBE, points, two_regions(points), Criterion(THRESHOLD))
     among = known._is_found
-    every = known._parts_samples._critical_deviate_limits(np.arange(len(known._z)))
-    (at, weights), drawn = known._joint_points, known._parts_samples.joint_draws
+    every = known._samples._critical_deviate_limits(np.arange(len(known._z)))
+    (at, weights), drawn = known._joint_points, known._samples.joint_draws
     expected = (known._sample.weights * among) @ ndtr(every)
     expected += (weights * among[at]) @ (drawn - ndtr(every[at]))
-    np.testing.assert_allclose(known._parts_samples.critical_fraction_within(among), expected, atol=1e-4)
+    np.testing.assert_allclose(known._samples.critical_fraction_within(among), expected, atol=1e-4)
 
 
 def test_widths_are_learned_from_rare_values_too():

@@ -18,12 +18,20 @@ _FULL_WEIGHT_COUNT: Final = 160
 _MAX_BINS: Final = 128
 
 
+# Rates of surprises that are possible: none, or one of these.
+_SURPRISE_RATES: Final = np.append(0.0, 0.3 * 0.5 ** np.arange(9))
+
+
 class ProbitCalibration:
-    """Probit calibration: the probability that a scenario is critical is ``p = Φ(-(a + b t))``, for a statistic t.
+    """Probit calibration: the probability that a scenario is critical is ``p = r + (1 - r) Φ(-(a + b t))``.
 
     t is any statistic that decreases with the probability of being critical. Examples are the mean of a Gaussian
-    process over its standard deviation, and the normal deviate of another classifier's output. The parameters a and b
-    have a posterior. Their prior is standard normal in a and log b, centred at the identity (a = 0, b = 1).
+    process over its standard deviation, and the normal deviate of another classifier's output. r is the rate of
+    surprises: critical scenarios where nothing points to them, as beyond a jump of the score, or in a region thinner
+    than the distance of scenarios. Without it, few surprises among many right predictions would hardly count, because a
+    normal distribution has no place for them. The parameters a, b and r have a posterior. Their prior is standard
+    normal in a and log b, centred at the identity (a = 0, b = 1). The rate is above 0 with the prior probability
+    `p_surprises`; its logarithm is then uniform between those of 0.0012 and 0.3.
 
     `t` (n,) holds out-of-sample predictions, `critical` (n,) the outcomes. `prediction_weight` is the weight of one
     prediction in the likelihood; it is below 1 if errors of neighbours are correlated. With more than 160 predictions
@@ -31,27 +39,45 @@ class ProbitCalibration:
     the fourth root.
 
     Source: J. Platt, "Probabilistic outputs for support vector machines" (1999), here with the normal distribution
-    function and the full posterior on a grid.
+    function and the full posterior on a grid. The rate is the lapse rate of psychometric functions: F. A. Wichmann,
+    N. J. Hill, "The psychometric function: I. Fitting, sampling, and goodness of fit", Perception & Psychophysics 63
+    (2001).
     """
 
-    def __init__(self, t: FloatArray, critical: BoolArray, prediction_weight: float = 1.0) -> None:
+    def __init__(
+        self, t: FloatArray, critical: BoolArray, prediction_weight: float = 1.0, p_surprises: float = 0.5
+    ) -> None:
         a, log_b = (axis.ravel() for axis in np.meshgrid(*[np.linspace(-_REACH, _REACH, _STEPS)] * 2, indexing="ij"))
-        log_posterior = -0.5 * (a**2 + log_b**2)
         slope, weight = np.exp(log_b), prediction_weight * min(1.0, (_FULL_WEIGHT_COUNT / max(len(t), 1)) ** 0.5)
-        for sign, predictions in ((1.0, t[critical]), (-1.0, t[~critical])):
-            for group in np.array_split(np.sort(predictions), min(_MAX_BINS, max(len(predictions), 1))):
-                if len(group):
-                    log_posterior += weight * len(group) * log_ndtr(-sign * (a + slope * group.mean()))
+        with np.errstate(divide="ignore"):
+            log_rate, log_rest = np.log(_SURPRISE_RATES[:, None]), np.log1p(-_SURPRISE_RATES[:, None])
+        n_rates = len(_SURPRISE_RATES) - 1
+        prior = np.append(1.0 - p_surprises, np.full(n_rates, p_surprises / n_rates))
+        log_posterior = np.log(prior[:, None]) - 0.5 * (a**2 + log_b**2)
+        for count, mean in _group_predictions(t[~critical]):
+            log_posterior += weight * count * (log_rest + log_ndtr(a + slope * mean))
+        for count, mean in _group_predictions(t[critical]):
+            log_posterior += weight * count * np.logaddexp(log_rate, log_rest + log_ndtr(-(a + slope * mean)))
         density = np.exp(log_posterior - log_posterior.max())
-        self._a, self._b, self._posterior = a, slope, density / density.sum()
+        self._a, self._b, self._rate = (
+            np.broadcast_to(values, density.shape).ravel() for values in (a, slope, _SURPRISE_RATES[:, None])
+        )
+        self._posterior = (density / density.sum()).ravel()
 
-    def draw_parameters(self, count: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-        """Draw `count` values of a and of b from the posterior by stratified sampling, shape (count,) each."""
+    def draw_parameters(self, count: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Draw `count` values of a, b and r from the posterior by stratified sampling, shape (count,) each."""
         # One draw in each of `count` strata of equal probability, in a random order.
         quantiles = (rng.permutation(count) + rng.random(count)) / count
         index = np.minimum(np.searchsorted(np.cumsum(self._posterior), quantiles), len(self._a) - 1)
-        return self._a[index], self._b[index]
+        return self._a[index], self._b[index], self._rate[index]
 
     def probability_of_critical(self, t: FloatArray) -> FloatArray:
-        """Probability of being critical for statistics t, (n,), at the posterior mean of a and b."""
-        return np.asarray(ndtr(-(self._posterior @ self._a + (self._posterior @ self._b) * t)))
+        """Probability of being critical for statistics t, (n,), at the posterior means of a, b and r."""
+        a, b, rate = (float(self._posterior @ values) for values in (self._a, self._b, self._rate))
+        return np.asarray(rate + (1.0 - rate) * ndtr(-(a + b * t)))
+
+
+def _group_predictions(predictions: FloatArray) -> list[tuple[int, float]]:
+    """Group neighbouring predictions; return the number and the mean of each of at most 128 groups."""
+    groups = np.array_split(np.sort(predictions), min(_MAX_BINS, max(len(predictions), 1)))
+    return [(len(group), float(group.mean())) for group in groups if len(group)]

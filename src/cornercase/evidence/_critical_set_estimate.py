@@ -25,7 +25,12 @@ from cornercase.evidence._proportions import anytime_upper_bound, proportion_int
 from cornercase.evidence._set_samples import N_DRAWS, SetSamples
 from cornercase.evidence._space_sample import SpaceSample
 from cornercase.evidence.gp._blas import multiply_lower_triangular
-from cornercase.evidence.gp._process import encode_points, fit_boundary_process, require_enough_scores
+from cornercase.evidence.gp._process import (
+    encode_points,
+    fit_boundary_process,
+    require_enough_scores,
+    squash_around_threshold,
+)
 from cornercase.metrics import Feature
 from cornercase.scenario import ParameterSpace
 from cornercase.study._criterion import Criterion
@@ -37,10 +42,13 @@ _MIN_DEVIATION: Final = 0.02
 # Scenarios chosen independently of scores, and critical ones among them, from which intervals are given. With fewer
 # critical ones, intervals of what is missed were too narrow on the first half of benchmarks/calibration.py.
 _MIN_SCENARIOS, _MIN_CRITICAL = 20, 3
-# Weight of one prediction in the likelihood; below 1 because errors of neighbouring predictions are correlated. In the
-# whole set false positives and false negatives cancel, so the critical fraction is known better than its parts. Chosen
-# on the first half of benchmarks/calibration.py.
-_WHOLE_SET_WEIGHT, _PARTS_WEIGHT = 1.0, 0.5
+# Weight of one prediction in the likelihood; below 1 because errors of neighbouring predictions are correlated. Chosen
+# on the halves to choose with of benchmarks/calibration.py and benchmarks/intervals.py.
+_PREDICTION_WEIGHT: Final = 0.5
+# Prior probability of surprises (`ProbitCalibration`), and the fraction of the variance of the scores, unexplained by
+# predictions from other scenarios, below which it decreases in proportion. Chosen on the half to choose with of
+# benchmarks/intervals.py.
+_P_SURPRISES, _UNEXPLAINED = 0.5, 0.1
 # Probability that a hidden region at a random place contains no scenario that was run.
 _ESCAPE_PROBABILITY: Final = 0.05
 # Probabilities are clipped to this and to one minus this.
@@ -69,7 +77,8 @@ class CriticalSet:
     (n,) marks the scenarios chosen independently of scores, by default all. `audits` are random points and their
     scores, which the optimizer has not observed. `features` are the columns and their values (n, f). `source_model`
     adds the prediction of another study as a coordinate of the process. It is dropped if it misleads, and it is never
-    used for the calibration. ValueError if there are fewer than 10 scores, or all are the same.
+    used for the calibration. `sample` is that of the space with this seed, if it is known. ValueError if there are
+    fewer than 10 scores, or all are the same.
 
     Leave-one-out prediction: C. E. Rasmussen, C. K. I. Williams, "Gaussian Processes for Machine Learning" (2006),
     equation 5.12.
@@ -87,6 +96,7 @@ class CriticalSet:
         audits: tuple[FloatArray, FloatArray] | None = None,
         features: tuple[Sequence[Feature], FloatArray] | None = None,
         source_model: SourceStudyModel | None = None,
+        sample: SpaceSample | None = None,
     ) -> None:
         finished = np.isfinite(scores)
         self._is_initial_design = (
@@ -95,7 +105,7 @@ class CriticalSet:
         points, scores = require_enough_scores(points, scores)
         self._space, self._seed = space, seed
         self._critical = criterion.is_critical(scores)
-        self._sample = SpaceSample.from_space(space, seed)
+        self._sample = SpaceSample.from_space(space, seed) if sample is None else sample
         self._encoded_points, self._source_model = encode_points(space, points), source_model
         coordinates, has_prediction = augment_points(source_model, self._encoded_points), source_model is not None
         self._committee: CommitteeModel | None = None
@@ -117,12 +127,14 @@ class CriticalSet:
         self._audit_is_critical = criterion.is_critical(audit_scores[np.isfinite(audit_scores)])
         # One thread, so that sums do not depend on the number of threads.
         with single_threaded_blas():
-            t, critical = self._prediction_record(coordinates, scores, criterion)
+            self._scores_record = cross_validate_scores(
+                self._process, coordinates, scores, criterion, np.flatnonzero(self._is_initial_design)
+            )
+            t, critical = self._prediction_record()
             edge = 0.0 if self._committee is None else float(_normal_deviate(np.array(PREDICTED_CRITICAL)))
             self._missed_none = not (critical & (t > edge)).any()
-            self._calibrations = (
-                ProbitCalibration(t, critical, _WHOLE_SET_WEIGHT),
-                ProbitCalibration(t, critical, _PARTS_WEIGHT),
+            self._calibration = ProbitCalibration(
+                t, critical, _PREDICTION_WEIGHT, self._probability_of_surprises(scores, criterion)
             )
 
     @property
@@ -146,9 +158,7 @@ class CriticalSet:
         mean, deviation = self._process.predict(encoded_points)
         return mean, mean / np.hypot(deviation, self._process.kernel.noise)
 
-    def _prediction_record(
-        self, points: FloatArray, scores: FloatArray, criterion: Criterion
-    ) -> tuple[FloatArray, BoolArray]:
+    def _prediction_record(self) -> tuple[FloatArray, BoolArray]:
         """Out-of-sample predictions of the scenarios chosen independently of scores, and whether these were critical.
 
         A prediction is the distance to the threshold in standard deviations.
@@ -156,9 +166,7 @@ class CriticalSet:
         if self._committee is not None:
             t = _normal_deviate(self._committee.out_of_fold_probability())[self._is_initial_design]
         else:
-            mean, deviation = cross_validate_scores(
-                self._process, points, scores, criterion, np.flatnonzero(self._is_initial_design)
-            )
+            mean, deviation = self._scores_record
             t = mean / deviation
         critical = self._critical[self._is_initial_design]
         if len(self._audit_points):
@@ -166,10 +174,21 @@ class CriticalSet:
             critical = np.concatenate([critical, self._audit_is_critical])
         return t, critical
 
+    def _probability_of_surprises(self, scores: FloatArray, criterion: Criterion) -> float:
+        """Prior probability of surprises; it is small if the process predicts left-out scores well.
+
+        It does if the score is smooth, and scenarios are dense enough to follow it.
+        """
+        values = squash_around_threshold(scores, criterion, self._process.squash_scale)[self._is_initial_design]
+        if len(values) < 2 or np.ptp(values) == 0.0:
+            return _P_SURPRISES
+        unexplained = float(np.square(values - self._scores_record[0]).mean() / values.var())
+        return _P_SURPRISES * min(max(unexplained / _UNEXPLAINED, _MIN_PROBABILITY), 1.0)
+
     @cached_property
     def _joint_points(self) -> tuple[IntArray, FloatArray]:
         """Indices of the points for which critical sets are drawn jointly, and the fraction of space of each."""
-        probability = np.where(self._known_outcome == 0.0, self._calibrations[1].probability_of_critical(self._z), 0.0)
+        probability = np.where(self._known_outcome == 0.0, self._calibration.probability_of_critical(self._z), 0.0)
         return self._sample.subset(np.sqrt(probability * (1.0 - probability)) + _MIN_DEVIATION, _JOINT_POINTS)
 
     def _draw_standardized_errors(self, indices: IntArray, key: int) -> FloatArray:
@@ -186,35 +205,23 @@ class CriticalSet:
         return normal
 
     @cached_property
-    def _set_samples(self) -> tuple[SetSamples, SetSamples]:
-        """Draws of critical sets, twice: with the calibration for the whole set, and with the one for its parts."""
-        whole, parts = (
-            SetSamples(
-                correction,
-                self._seed,
-                self._sample.weights,
-                self._z,
-                self._known_outcome,
-                self._joint_points,
-                lambda: self._joint_errors,
-            )
-            for correction in self._calibrations
+    def _samples(self) -> SetSamples:
+        """Draws of critical sets."""
+        return SetSamples(
+            self._calibration,
+            self._seed,
+            self._sample.weights,
+            self._z,
+            self._known_outcome,
+            self._joint_points,
+            lambda: self._joint_errors,
         )
-        return whole, parts
 
     @cached_property
     def _joint_errors(self) -> FloatArray:
         """Standardized errors at the points with joint draws, (m, draws)."""
         with single_threaded_blas():
             return self._draw_standardized_errors(self._joint_points[0], 4)
-
-    @property
-    def _whole_set_samples(self) -> SetSamples:
-        return self._set_samples[0]
-
-    @property
-    def _parts_samples(self) -> SetSamples:
-        return self._set_samples[1]
 
     def predict(self, points: FloatArray) -> BoolArray:
         """Whether scenarios (n, d) are critical, (n,): as run, otherwise as predicted."""
@@ -271,7 +278,7 @@ class CriticalSet:
         design and the audits, which were chosen without a look at scores, and from the known outcomes.
         """
         if self.has_both_classes:
-            return Estimate.from_draws(self._whole_set_samples.critical_fraction)
+            return Estimate.from_draws(self._samples.critical_fraction)
         hits = int(self._critical[self._is_initial_design].sum() + self._audit_is_critical.sum())
         bounds = proportion_interval(hits, int(self._is_initial_design.sum()) + len(self._audit_is_critical))
         # Bounds that hold whatever the scenarios are that were not run.
@@ -279,7 +286,7 @@ class CriticalSet:
             float(self._sample.weights[mask].sum()) for mask in (self._known_outcome > 0.0, self._known_outcome < 0.0)
         )
         low, high = max(bounds.low, min(critical, 1.0)), min(bounds.high, max(1.0 - others, 0.0))
-        return Estimate(min(max(float(self._whole_set_samples.critical_fraction.mean()), low), high), low, high)
+        return Estimate(min(max(float(self._samples.critical_fraction.mean()), low), high), low, high)
 
     @cached_property
     def missed_fraction(self) -> Estimate:
@@ -291,15 +298,15 @@ class CriticalSet:
             return Estimate(*[float(not self.is_exhausted)] * 3)
         with single_threaded_blas():
             not_found = np.clip(
-                self._parts_samples.critical_fraction_within(~self._is_found),
+                self._samples.critical_fraction_within(~self._is_found),
                 0.0,
-                self._parts_samples.critical_fraction,
+                self._samples.critical_fraction,
             )
         # Empty draws are ignored, since something is critical.
-        nonempty = self._parts_samples.critical_fraction > 0.0
+        nonempty = self._samples.critical_fraction > 0.0
         estimate = Estimate(1.0, 0.0, 1.0)
         if nonempty.any():
-            estimate = Estimate.from_draws(not_found[nonempty] / self._parts_samples.critical_fraction[nonempty])
+            estimate = Estimate.from_draws(not_found[nonempty] / self._samples.critical_fraction[nonempty])
         # As long as no prediction missed a critical scenario, it is possible that none is missed.
         return replace(estimate, low=0.0) if self._missed_none else estimate
 
@@ -336,15 +343,22 @@ class CriticalSet:
         """
         return anytime_upper_bound(*self._missed_audits_and_total)
 
+    def of_other_scores(self, points: FloatArray, scores: FloatArray, criterion: Criterion) -> CriticalSet:
+        """Estimate the critical set of other scores in the same space, to be compared with this one.
+
+        ValueError as by the constructor.
+        """
+        return CriticalSet(self._space, points, scores, criterion, self._seed, sample=self._sample)
+
     def fraction_inside(self, other: CriticalSet) -> Estimate:
         """Fraction of this critical set that lies in `other`, the critical set of another score with the same seed."""
         with single_threaded_blas():
-            both = self._parts_samples.overlap_fraction(
-                other._parts_samples, other._draw_standardized_errors(self._joint_points[0], 5), np.arange(N_DRAWS)
+            both = self._samples.overlap_fraction(
+                other._samples, other._draw_standardized_errors(self._joint_points[0], 5), np.arange(N_DRAWS)
             )
-        nonempty = self._parts_samples.critical_fraction > 0.0
+        nonempty = self._samples.critical_fraction > 0.0
         fractions = (
-            np.clip(both[nonempty] / self._parts_samples.critical_fraction[nonempty], 0.0, 1.0)
+            np.clip(both[nonempty] / self._samples.critical_fraction[nonempty], 0.0, 1.0)
             if nonempty.any()
             else np.ones(1)
         )
@@ -359,12 +373,12 @@ class CriticalSet:
         # The calibrations of both are drawn with the same random numbers; permuted, they are independent.
         order = np.random.default_rng([self._seed, 6]).permutation(N_DRAWS)
         fractions, other_fractions = (
-            self._whole_set_samples.critical_fraction,
-            other._whole_set_samples.critical_fraction[order],
+            self._samples.critical_fraction,
+            other._samples.critical_fraction[order],
         )
         with single_threaded_blas():
-            both = self._whole_set_samples.overlap_fraction(
-                other._whole_set_samples, other._draw_standardized_errors(self._joint_points[0], 5), order
+            both = self._samples.overlap_fraction(
+                other._samples, other._draw_standardized_errors(self._joint_points[0], 5), order
             )
         return fractions, other_fractions, np.clip(both, 0.0, np.minimum(fractions, other_fractions))
 
@@ -376,17 +390,17 @@ class CriticalSet:
         values = self._space.values(self._sample.points)
         means = np.full((N_DRAWS, self._space.dimension), np.nan)
         with single_threaded_blas():
-            whole = self._parts_samples.critical_fraction_within(np.ones(len(self._z)))
+            whole = self._samples.critical_fraction_within(np.ones(len(self._z)))
             for k, parameter in enumerate(self._space.parameters):
                 if not parameter.choices:
                     x = np.array([parameter.extract_number(value) for value in values])
                     with np.errstate(divide="ignore", invalid="ignore"):
                         mean = np.clip(
-                            self._parts_samples.critical_fraction_within(x - x.min()) / whole + x.min(),
+                            self._samples.critical_fraction_within(x - x.min()) / whole + x.min(),
                             x.min(),
                             x.max(),
                         )
-                    means[:, k] = np.where(self._parts_samples.critical_fraction > 0.0, mean, np.nan)
+                    means[:, k] = np.where(self._samples.critical_fraction > 0.0, mean, np.nan)
         return means
 
     def p_overlooked_region(self, size: float = MIN_REGION_FRACTION) -> float:
@@ -397,7 +411,7 @@ class CriticalSet:
         """
         if not self._critical.any():
             return self.unexplored_fraction(size)
-        drawn = self._parts_samples.joint_draws
+        drawn = self._samples.joint_draws
         edges, regions = self._neighbour_graph
         weights = np.concatenate([self._joint_points[1], np.zeros(regions)])
         count = 0

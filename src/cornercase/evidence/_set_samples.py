@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 from scipy.sparse import coo_array
-from scipy.special import ndtr
+from scipy.special import ndtr, ndtri
 
 from cornercase._common.numba.blas import single_threaded_blas
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
@@ -42,7 +42,7 @@ class SetSamples:
         draw_errors: Callable[[], FloatArray],
     ) -> None:
         self._weights, self._z, self._known_outcome, self._draw_errors = weights, z, known_outcome, draw_errors
-        self._a, self._b = calibration.draw_parameters(N_DRAWS, np.random.default_rng([seed, 3]))
+        self._a, self._b, self._rate = calibration.draw_parameters(N_DRAWS, np.random.default_rng([seed, 3]))
         self.joint_indices, self._joint_weights = joint_points
 
     @cached_property
@@ -67,12 +67,16 @@ class SetSamples:
         for k, members in enumerate(bins):
             bin_of[members] = k
         middle = np.array([self._z[members].mean() for members in bins])
-        probability = ndtr(-(self._a + self._b * middle[:, None]))
+        probability = self._rate + (1.0 - self._rate) * ndtr(-(self._a + self._b * middle[:, None]))
         return bin_of, np.concatenate([probability, np.zeros((1, N_DRAWS)), np.ones((1, N_DRAWS))])
 
     def _critical_deviate_limits(self, indices: IntArray) -> FloatArray:
         """Normal deviate up to which a point is critical in each draw; infinite if the outcome is known."""
         limit = -(self._a + self._b * self._z[indices, None])
+        surprising = self._rate > 0.0
+        limit[:, surprising] = ndtri(
+            self._rate[surprising] + (1.0 - self._rate[surprising]) * ndtr(limit[:, surprising])
+        )
         return np.where(self._known_outcome[indices, None] == 0.0, limit, self._known_outcome[indices, None])
 
     def critical_fraction_within(self, weights: BoolArray | FloatArray) -> FloatArray:

@@ -100,7 +100,7 @@ def measure_critical_coverage(
         all_critical = critical_set or CriticalSet(space, points, scores, criterion, seed)
         is_unlike = Criterion(similar_distance, lower_is_critical=False)
         unlike = all_critical.fraction_inside(
-            CriticalSet(space, points[critical], -distance[critical], is_unlike, seed)
+            all_critical.of_other_scores(points[critical], -distance[critical], is_unlike)
         )
     return CriticalCoverage(
         within=similar_distance,
