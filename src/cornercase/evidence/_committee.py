@@ -25,10 +25,9 @@ C. Elkan, B. Naryanaswamy, "Optimal thresholding of classifiers to maximize F1 m
 if TYPE_CHECKING:
     from sklearn.ensemble import ExtraTreesClassifier, RandomForestClassifier
 
-_TREES: Final = 64
 _FOLDS: Final = 5
-# For the weights of the members: trees per member, EM steps, and prior count of scenarios for each member.
-_WEIGHTING_TREES, _EM_STEPS, _PRIOR_COUNT = 24, 30, 2.0
+# For the weights of the members: EM steps, and prior count of scenarios for each member.
+_EM_STEPS, _PRIOR_COUNT = 30, 2.0
 _MIN_PROBABILITY: Final = 0.01  # probabilities of members are clipped to this
 # Features that hardly depend on the parameters or are redundant: with them trees find the boundary no better.
 _UNUSED_FEATURES: Final = frozenset(
@@ -57,6 +56,11 @@ class CommitteeModel:
     at most 4,000 scenarios: half nearest to the threshold, and of the rest the rarer class first. The process of the
     scores uses all scenarios.
 
+    A subclass can make it cheaper: with fewer trees (`n_trees`, and `n_trees_per_fold` to find the weights), with
+    kernels of the features that are learned from at most `max_kernel_scenarios`, and (`may_be_alone`) with a single
+    classifier, if that predicts the outcomes better than all together: with less out-of-fold log loss. The others are
+    then not trained until the next `fit`.
+
     `columns` describes the features. `has_prediction` says whether the last coordinate of points is the prediction of
     another study (`SourceStudyModel`). `process` is the third classifier.
 
@@ -67,6 +71,10 @@ class CommitteeModel:
 
     max_process_scenarios: ClassVar[int] = 2000
     max_tree_scenarios: ClassVar[int] = 4000
+    max_kernel_scenarios: ClassVar[int | None] = None
+    n_trees: ClassVar[int] = 64
+    n_trees_per_fold: ClassVar[int] = 24
+    may_be_alone: ClassVar[bool] = False
 
     def __init__(
         self, criterion: Criterion, columns: Sequence[Feature] = (), seed: int = 0, *, has_prediction: bool = False
@@ -76,6 +84,8 @@ class CommitteeModel:
         self._branches = [j for j, feature in enumerate(columns) if feature.branch]
         self.process: GaussianProcess
         self._feature_models: PerBranchFeatureModels
+        # Of trees on features, forest and process.
+        self._weights: FloatArray
 
     def fit(self, points: FloatArray, scores: FloatArray, features: FloatArray | None = None) -> Self:
         """Learn kernels and weights from points (n, e), scores (n,) and features (n, f).
@@ -83,24 +93,38 @@ class CommitteeModel:
         The scores are finite and not all equal.
         """
         self.process = fit_boundary_process(points, scores, self._criterion, has_prediction=self._has_prediction)
-        self._train_on_subset(points, scores, features)
-        self._weights = _fit_member_weights(self._out_of_fold_by_member(_WEIGHTING_TREES), self._critical)
+        self._weights = np.ones(3)
+        self._learn_features(points, scores, features)
+        by_member = self._out_of_fold_by_member(self.n_trees_per_fold)
+        self._weights = _fit_member_weights(by_member, self._critical)
+        if self.may_be_alone:
+            losses = _log_losses(np.column_stack([by_member, by_member @ self._weights]), self._critical)
+            if (best := int(np.argmin(losses))) < len(self._weights):
+                self._weights = np.eye(len(self._weights))[best]
+        self._trees, self._forest = self._train_trees(np.arange(len(self._points)), self.n_trees)
         return self
 
     def condition_on(self, points: FloatArray, scores: FloatArray, features: FloatArray | None = None) -> Self:
         """Replace the known scenarios, but not the kernels and weights; arguments as for `fit`."""
         self.process.condition_on_scores(points, scores, self._criterion)
-        self._train_on_subset(points, scores, features, self._feature_models.kernels)
+        if not self.is_process_alone:
+            self._learn_features(points, scores, features, self._feature_models.kernels)
+            self._trees, self._forest = self._train_trees(np.arange(len(self._points)), self.n_trees)
         return self
 
-    def _train_on_subset(
+    @property
+    def is_process_alone(self) -> bool:
+        """Whether the process predicts alone."""
+        return not self._weights[:2].any()
+
+    def _learn_features(
         self,
         points: FloatArray,
         scores: FloatArray,
         features: FloatArray | None,
         kernels: Mapping[int | None, FeatureKernels] | None = None,
     ) -> None:
-        """Train trees and feature processes on the scenarios, or on a subset of many.
+        """Train feature processes on the scenarios, or on a subset of many, and keep what trees learn from.
 
         Kernels that are not given are learned.
         """
@@ -109,29 +133,32 @@ class CommitteeModel:
         features = None if features is None else features[self._tree_scenarios]
         inputs, subset = self._feature_inputs(scores, features), self._select_process_scenarios(scores)
         self._critical, self._classes = self._criterion.is_critical(scores), self._class_labels(scores, features)
-        self._feature_models = PerBranchFeatureModels(points, inputs, self._classes // 2, kernels, subset)
+        self._feature_models = PerBranchFeatureModels(
+            points, inputs, self._classes // 2, kernels, subset, self.max_kernel_scenarios
+        )
         self._points, self._columns = points, np.hstack([points, self._feature_models.leave_one_out])
-        self._trees, self._forest = self._train_trees(np.arange(len(points)), _TREES)
 
     def predict(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the probability of being critical, and the probability of the likeliest branch, (m,) each."""
         mean, deviation = self.process.predict(points)
         critical, classes = self._combine_members(points, mean / np.hypot(deviation, self.process.kernel.noise))
+        if self._trees is None:
+            return critical, np.ones(len(points))
         branches = self._trees.classes_ // 2
         by_branch = np.stack([classes[:, branches == branch].sum(axis=1) for branch in np.unique(branches)])
         return critical, np.minimum(by_branch.max(axis=0), 1.0)
 
     def _combine_members(self, points: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Weighted probability of being critical, and of each class.
+        """Weighted probability of being critical, and of each class; no classes without the trees on features.
 
         `t` is how far the process predicts each point above the threshold, in standard deviations.
         """
-        classes = self._trees.predict_proba(np.hstack([points, self._feature_models.predict_features(points)]))
-        by_member = [
-            _critical_probability_of_classes(self._trees, classes),
-            _critical_probability_by_forest(self._forest, points),
-            ndtr(-t),
-        ]
+        classes, by_member = np.empty((len(points), 0)), [np.zeros(len(points)), np.zeros(len(points)), ndtr(-t)]
+        if self._trees is not None:
+            classes = self._trees.predict_proba(np.hstack([points, self._feature_models.predict_features(points)]))
+            by_member[0] = _critical_probability_of_classes(self._trees, classes)
+        if self._forest is not None:
+            by_member[1] = _critical_probability_by_forest(self._forest, points)
         return np.asarray(self._weights @ np.stack(by_member)), classes
 
     def out_of_fold_probability(self) -> FloatArray:
@@ -140,7 +167,7 @@ class CommitteeModel:
         Trees are trained without the scenario's fold; the process uses all other scenarios.
         """
         probability = np.empty(len(self._all_points))
-        probability[self._tree_scenarios] = self._out_of_fold_by_member(_TREES) @ self._weights
+        probability[self._tree_scenarios] = self._out_of_fold_by_member(self.n_trees) @ self._weights
         # The trees were not trained on the rest, so no folds are needed there.
         rest = np.setdiff1d(np.arange(len(probability)), self._tree_scenarios)
         if len(rest):
@@ -154,11 +181,13 @@ class CommitteeModel:
         Tree classifiers have `n_trees` trees.
         """
         mean, deviation = self.process.leave_one_out(self._tree_scenarios)
-        probability: FloatArray = np.stack([np.empty(len(mean)), np.empty(len(mean)), ndtr(-mean / deviation)], axis=1)
+        probability: FloatArray = np.stack([np.zeros(len(mean)), np.zeros(len(mean)), ndtr(-mean / deviation)], axis=1)
         for train, test in self._train_test_folds():
             trees, forest = self._train_trees(train, n_trees)
-            probability[test, 0] = _critical_probability_of_classes(trees, trees.predict_proba(self._columns[test]))
-            probability[test, 1] = _critical_probability_by_forest(forest, self._points[test])
+            if trees is not None:
+                probability[test, 0] = _critical_probability_of_classes(trees, trees.predict_proba(self._columns[test]))
+            if forest is not None:
+                probability[test, 1] = _critical_probability_by_forest(forest, self._points[test])
         return probability
 
     def _train_test_folds(self) -> Iterator[tuple[IntArray, IntArray]]:
@@ -173,16 +202,24 @@ class CommitteeModel:
         folds = StratifiedKFold(min(_FOLDS, smallest_class), shuffle=True, random_state=self._seed)
         return iter(folds.split(self._points, self._critical))
 
-    def _train_trees(self, indices: IntArray, n_trees: int) -> tuple[ExtraTreesClassifier, RandomForestClassifier]:
-        """Train trees on predicted features for the classes, and a forest on parameters for being critical."""
+    def _train_trees(
+        self, indices: IntArray, n_trees: int
+    ) -> tuple[ExtraTreesClassifier | None, RandomForestClassifier | None]:
+        """Train trees on predicted features for the classes, and a forest on parameters for being critical.
+
+        None for one without weight.
+        """
         from sklearn.ensemble import ExtraTreesClassifier, RandomForestClassifier
 
-        # Every split considers all features, since few of them tell the branches of a scenario apart.
-        trees = ExtraTreesClassifier(n_trees, max_features=None, random_state=self._seed)
-        forest = RandomForestClassifier(n_trees, random_state=self._seed)
-        return trees.fit(self._columns[indices], self._classes[indices]), forest.fit(
-            self._points[indices], self._critical[indices]
-        )
+        trees = forest = None
+        if self._weights[0] > 0.0:
+            # Every split considers all features, since few of them tell the branches of a scenario apart.
+            trees = ExtraTreesClassifier(n_trees, max_features=None, random_state=self._seed)
+            trees.fit(self._columns[indices], self._classes[indices])
+        if self._weights[1] > 0.0:
+            forest = RandomForestClassifier(n_trees, random_state=self._seed)
+            forest.fit(self._points[indices], self._critical[indices])
+        return trees, forest
 
     def _select_tree_scenarios(self, scores: FloatArray) -> IntArray:
         """Select the scenarios that trees use: all, or a part of very many.
@@ -239,12 +276,22 @@ def _critical_probability_by_forest(forest: RandomForestClassifier, points: Floa
     return np.asarray(forest.predict_proba(points)[:, forest.classes_].sum(axis=1))
 
 
+def _likelihoods(probabilities: FloatArray, critical: BoolArray) -> FloatArray:
+    """Probability of each outcome (n,) by each classifier, (n, k), from its probabilities (n, k) of being critical."""
+    return np.clip(np.where(critical[:, None], probabilities, 1.0 - probabilities), _MIN_PROBABILITY, 1.0)
+
+
+def _log_losses(probabilities: FloatArray, critical: BoolArray) -> FloatArray:
+    """Log loss of each classifier, (k,)."""
+    return np.asarray(-np.log(_likelihoods(probabilities, critical)).mean(axis=0))
+
+
 def _fit_member_weights(by_member: FloatArray, critical: BoolArray) -> FloatArray:
     """Weights of the classifiers that maximize the likelihood of the outcomes under the weighted mean of probabilities.
 
     They are found by expectation maximization for a mixture.
     """
-    likelihood = np.clip(np.where(critical[:, None], by_member, 1.0 - by_member), _MIN_PROBABILITY, 1.0)
+    likelihood = _likelihoods(by_member, critical)
     weights = np.full(likelihood.shape[1], 1.0 / likelihood.shape[1])
     for _ in range(_EM_STEPS):
         joint = weights * likelihood

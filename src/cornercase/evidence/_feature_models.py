@@ -10,7 +10,7 @@ import numpy as np
 
 from cornercase._common.numba.blas import single_threaded_blas
 from cornercase._common.typing import FloatArray, IntArray
-from cornercase.evidence.gp._kernel import Floats, MaternKernel, fit_kernel
+from cornercase.evidence.gp._kernel import Floats, MaternKernel, evenly_spaced_indices, fit_kernel
 from cornercase.evidence.gp._posterior import ExactPosterior
 
 _MAX_NOISE: Final = 0.5
@@ -32,9 +32,9 @@ class PerBranchFeatureModels:
     process of their own.
 
     `branches` (n,) is the branch of each scenario. `kernels` maps each branch, and None for all scenarios, to the
-    kernels of `FeatureModels`; missing ones are learned. `leave_one_out` (n, g) holds leave-one-out predictions: first
-    from all scenarios, then from each branch. For scenarios outside of a branch, it holds the ordinary prediction of
-    the branch.
+    kernels of `FeatureModels`; missing ones are learned, from at most `max_kernel_scenarios`. `leave_one_out`
+    (n, g) holds leave-one-out predictions: first from all scenarios, then from each branch. For scenarios outside of a
+    branch, it holds the ordinary prediction of the branch.
     """
 
     def __init__(
@@ -44,9 +44,10 @@ class PerBranchFeatureModels:
         branches: IntArray,
         kernels: Mapping[int | None, FeatureKernels] | None = None,
         subset: IntArray | None = None,
+        max_kernel_scenarios: int | None = None,
     ) -> None:
         kernels = {} if kernels is None else kernels
-        overall = FeatureModels(points, features, kernels.get(None), subset)
+        overall = FeatureModels(points, features, kernels.get(None), subset, max_kernel_scenarios)
         self._models, left_out = [overall], [overall.leave_one_out]
         self.kernels: dict[int | None, FeatureKernels] = {None: overall.kernels}
         present, counts = np.unique(branches, return_counts=True)
@@ -54,7 +55,9 @@ class PerBranchFeatureModels:
         for branch in present[counts >= _MIN_BRANCH_SCENARIOS].tolist() if len(present) > 1 else []:
             members = np.flatnonzero(branches == branch)
             known_members = None if subset is None else np.flatnonzero(np.isin(members, subset))
-            part = FeatureModels(points[members], features[members], kernels.get(branch), known_members)
+            part = FeatureModels(
+                points[members], features[members], kernels.get(branch), known_members, max_kernel_scenarios
+            )
             predicted = part.predict_features(points)
             predicted[members] = part.leave_one_out
             self._models.append(part)
@@ -74,9 +77,9 @@ class FeatureModels:
     on its own parameters alone. So each feature has its own length scales and noise.
 
     `points` (n, e) are encoded, `features` (n, f) are finite. `kernels` has one kernel per feature, None for a constant
-    feature; by default they are learned. `subset` are the indices of the scenarios that the processes use, by default
-    all. Memory grows with the square of their number. `leave_one_out` (n, g) holds the standardized leave-one-out
-    predictions, without constant features.
+    feature; by default they are learned, from at most `max_kernel_scenarios`. `subset` are the indices of the
+    scenarios that the processes use, by default all. Memory grows with the square of their number. `leave_one_out`
+    (n, g) holds the standardized leave-one-out predictions, without constant features.
 
     Source: C. E. Rasmussen, C. K. I. Williams, "Gaussian Processes for Machine Learning" (2006), equations 5.8, 5.9 and
     5.12.
@@ -88,6 +91,7 @@ class FeatureModels:
         features: FloatArray,
         kernels: FeatureKernels | None = None,
         subset: IntArray | None = None,
+        max_kernel_scenarios: int | None = None,
     ) -> None:
         spread = features.std(axis=0)
         scaled = (features - features.mean(axis=0)) / np.maximum(spread, _MIN_SPREAD)
@@ -98,8 +102,9 @@ class FeatureModels:
         # One thread, so that sums do not depend on the number of threads.
         with single_threaded_blas():
             if kernels is None:
+                some = evenly_spaced_indices(len(points), max_kernel_scenarios or len(points))
                 kernels = [
-                    fit_kernel(points, scaled[:, j], _MAX_NOISE) if is_varied else None
+                    fit_kernel(points[some], scaled[some, j], _MAX_NOISE) if is_varied else None
                     for j, is_varied in enumerate((spread > _MIN_SPREAD).tolist())
                 ]
             self.kernels: FeatureKernels = list(kernels)

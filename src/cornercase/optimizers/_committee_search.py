@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final
+from typing import ClassVar, Final
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -12,20 +12,17 @@ from cornercase._common.typing import FloatArray, IntArray
 from cornercase._common.validation import check_float, check_int
 from cornercase.evidence._committee import CommitteeModel
 from cornercase.evidence._multi_fidelity import augment_points
-from cornercase.evidence.gp._process import encode_points
+from cornercase.evidence.gp._process import GaussianProcess, encode_points
 from cornercase.metrics import Feature
 from cornercase.optimizers._dedupe import Deduplicator
 from cornercase.optimizers._warm_start import WarmStartOptimizer
 from cornercase.scenario import ParameterSpace
 from cornercase.study._criterion import Criterion
 
-_TREES: Final = 64
+_TREES: Final = 64  # of the classifier of failures
 _BRANCH_WEIGHT: Final = 0.5  # weight of an uncertain branch against an uncertain outcome
 _MIN_SIDE: Final = 0.1  # least scale of a coordinate that the score depends on little
-_NEAR_FRACTION, _MAX_DEVIATION = (
-    0.85,
-    0.06,
-)  # fraction of the candidates near critical scenarios, and their greatest deviation
+_MAX_DEVIATION: Final = 0.06  # greatest deviation of candidates from critical scenarios
 
 
 class Committee(WarmStartOptimizer):
@@ -65,6 +62,11 @@ class Committee(WarmStartOptimizer):
     requires = frozenset({"threshold", "features"})
     relearn_growth = 0.25
 
+    _near_fraction: ClassVar[float] = 0.85
+    """Fraction of the candidates near critical scenarios."""
+
+    _model_class: ClassVar[type[CommitteeModel]] = CommitteeModel
+
     def __init__(self, candidates: int = 4096, filling: float = 0.15) -> None:
         self._count = check_int("candidates", candidates, 1)
         self._filling = check_float("filling", filling, minimum=0.0, maximum=1.0)
@@ -97,7 +99,7 @@ class Committee(WarmStartOptimizer):
         )
 
     def _fit_model(self, points: FloatArray, scores: FloatArray, seed: int) -> None:
-        self._committee = CommitteeModel(
+        self._committee = self._model_class(
             _criterion_between_scores(scores, self._criterion),
             self._features if self._observed_features is not None else (),
             has_prediction=self._source_model is not None,
@@ -105,28 +107,35 @@ class Committee(WarmStartOptimizer):
         self._committee.fit(self._model_coordinates(points), scores, self._features_of_finished(len(points)))
 
     def _choose_points(self, points: FloatArray, scores: FloatArray, filling: FloatArray, n: int) -> FloatArray:
-        run, run_scores = self._points[self._is_finished], self._scores[self._is_finished]
-        near = self._criterion.is_critical(run_scores) | (run_scores == run_scores.min())
-        candidates = self._draw_near_and_far(run[near], filling, n)
+        candidates = self._draw_near_and_far(filling, n)
         if len(candidates) <= n:
             return candidates
         if len(points):
-            self._committee.condition_on(self._model_coordinates(run), run_scores, self._features_of_finished(len(run)))
+            self._condition_committee()
         x = encode_points(self._space, candidates)
         probabilities = self._committee.predict(augment_points(self._source_model, x))
         gain = committee_acquisition(*probabilities) * (1.0 - self._failure_probability(x))
         sampled = np.concatenate([self._points, filling])
-        # The prediction of another study is not a coordinate of the space.
-        length_scales = self._committee.process.kernel.length_scales[: x.shape[1]]
-        sides = np.maximum(length_scales.min() / length_scales, _MIN_SIDE)
+        sides = coordinate_scales(self._committee.process, x.shape[1])
         return candidates[_choose_spread_out(x * sides, gain, encode_points(self._space, sampled) * sides, sides, n)]
+
+    def _condition_committee(self, count: int | None = None) -> None:
+        """Condition the committee on the finished ones of the first `count` scenarios, by default of all."""
+        finished = np.flatnonzero(self._is_finished[:count])
+        self._committee.condition_on(
+            self._model_coordinates(self._points[finished]),
+            self._scores[finished],
+            self._features_of_finished(len(finished)),
+        )
 
     def _features_of_finished(self, count: int) -> FloatArray | None:
         return None if self._observed_features is None else self._observed_features[self._is_finished][:count]
 
-    def _draw_near_and_far(self, critical: FloatArray, filling: FloatArray, n: int) -> FloatArray:
-        """Draw candidates all over the space, and near critical points."""
-        near = int(_NEAR_FRACTION * self._count)
+    def _draw_near_and_far(self, filling: FloatArray, n: int) -> FloatArray:
+        """Draw candidates all over the space, and near critical scenarios and the most critical one."""
+        scores = self._scores[self._is_finished]
+        critical = self._points[self._is_finished][self._criterion.is_critical(scores) | (scores == scores.min())]
+        near = int(self._near_fraction * self._count)
         rng = np.random.default_rng(self._round_seed)
         centers = critical[rng.integers(len(critical), size=near)]
         # Varying deviations, since the size of the critical region is unknown.
@@ -145,6 +154,13 @@ class Committee(WarmStartOptimizer):
         trees = ExtraTreesClassifier(_TREES, random_state=0).fit(encode_points(self._space, self._points), failed)
         probability: FloatArray = trees.predict_proba(encoded_points)[:, trees.classes_].sum(axis=1)
         return probability
+
+
+def coordinate_scales(process: GaussianProcess, n_coordinates: int) -> FloatArray:
+    """Scales (e,) of the coordinates for distances: 1 where the process has the shortest length scale."""
+    # The prediction of another study is not a coordinate of the space.
+    length_scales = process.kernel.length_scales[:n_coordinates]
+    return np.asarray(np.maximum(length_scales.min() / length_scales, _MIN_SIDE))
 
 
 def committee_acquisition(p_critical: FloatArray, p_likeliest_branch: FloatArray) -> FloatArray:

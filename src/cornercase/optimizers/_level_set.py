@@ -6,10 +6,9 @@ import math
 from typing import Final
 
 import numpy as np
-from scipy.spatial.distance import cdist
 from scipy.special import ndtr
 
-from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase._common.typing import BoolArray, FloatArray
 from cornercase._common.validation import check_float, check_int
 from cornercase.evidence.gp._process import (
     GaussianProcess,
@@ -18,14 +17,13 @@ from cornercase.evidence.gp._process import (
     squash_around_threshold,
 )
 from cornercase.optimizers._dedupe import Deduplicator
-from cornercase.optimizers._local_minima import suggest_below_local_minima
-from cornercase.optimizers._straddle import StraddleSelection, straddle_gains
+from cornercase.optimizers._local_minima import indices_below_local_minima
+from cornercase.optimizers._straddle import choose_by_straddle, straddle_gains
 from cornercase.optimizers._warm_start import WarmStartOptimizer
 from cornercase.scenario import ParameterSpace
 from cornercase.study._criterion import Criterion
 
 _N_BEST: Final = 4096  # best candidates that are kept until the process is learned anew
-_N_FIRST_TRIED: Final = 512  # of these, how many are tried first
 _LOCAL_MINIMA_FRACTION: Final = 0.15  # fraction of the points that follow local minima of the scores
 # Greatest probability of failure of candidates, also as a multiple of the fraction that has failed; the larger counts.
 _MAX_FAILURE_PROBABILITY, _FAILURE_FACTOR = 0.25, 1.25
@@ -140,14 +138,10 @@ class LevelSet(WarmStartOptimizer):
         )
         if count == 0:
             return filling[:0]
-        suggestions = suggest_below_local_minima(
-            encode_points(self._space, self._points), self._scores, self._criterion, count
+        below = indices_below_local_minima(
+            self._encode(self._points), self._scores, self._criterion, self._encode(self._all_candidates), count
         )
-        if not len(suggestions) or not len(self._all_candidates):
-            return filling[:0]
-        # For so few points, a tree of all candidates would be slower.
-        nearest = cdist(suggestions, encode_points(self._space, self._all_candidates), "sqeuclidean").argmin(axis=1)
-        return self._deduplicator.filter_snapped(self._all_candidates[nearest], exclude=filling)
+        return self._deduplicator.filter_snapped(self._all_candidates[below], exclude=filling)
 
     def _points_at_boundary(self, points: FloatArray, scores: FloatArray, filling: FloatArray, n: int) -> FloatArray:
         """Points for this round that are most uncertain, at most `n`, neither observed nor in `filling`."""
@@ -161,7 +155,7 @@ class LevelSet(WarmStartOptimizer):
             values = squash_around_threshold(scores, self._criterion, process.squash_scale)
             process = process.with_more_values(self._model_coordinates(points), values)
         return candidates[
-            _choose_by_straddle(process, self._model_coordinates(candidates), self._model_coordinates(filling), n)
+            choose_by_straddle(process, self._model_coordinates(candidates), self._model_coordinates(filling), n)
         ]
 
 
@@ -172,27 +166,3 @@ def _uncertain_fraction(probabilities: FloatArray) -> float:
     """
     near = probabilities[probabilities >= _MIN_PROBABILITY]
     return float(np.minimum(near, 1.0 - near).sum() / near.sum()) if len(near) else 0.0
-
-
-def _choose_by_straddle(process: GaussianProcess, candidates: FloatArray, sampled: FloatArray, n: int) -> IntArray:
-    """Choose `n` candidates by the straddle heuristic, one after the other.
-
-    The variance is conditioned on the `sampled` points and on the points chosen before.
-    """
-    mean, deviation, rows = process.predict_with_projections(np.concatenate([candidates, sampled]))
-    variance, others = deviation**2, np.arange(len(candidates), len(mean))
-    gain = straddle_gains(mean, np.sqrt(variance))[: len(candidates)]
-    order, count = np.argsort(-gain, kind="stable"), max(_N_FIRST_TRIED, n)
-    while True:
-        best = np.sort(order[:count])
-        index = np.concatenate([best, others])
-        selection = StraddleSelection(
-            process, np.concatenate([candidates[best], sampled]), mean[index], variance[index], rows[index]
-        )
-        for i in range(len(best), len(index)):
-            selection.condition_on_point(i)
-        chosen, least = selection.choose_points(n, len(best))
-        # Gains only decrease as other points become known, so none of the remaining candidates can be better.
-        if count >= len(candidates) or least > gain[order[count]]:
-            return best[chosen]
-        count *= 4

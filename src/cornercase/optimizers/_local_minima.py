@@ -6,8 +6,9 @@ from typing import Final
 
 import numpy as np
 from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
 
-from cornercase._common.typing import FloatArray
+from cornercase._common.typing import FloatArray, IntArray
 from cornercase.study._criterion import Criterion
 
 # Greatest distance of a minimum from the threshold, relative to its depth below the neighbouring scores.
@@ -45,3 +46,14 @@ def suggest_below_local_minima(
         slope = np.linalg.lstsq(points[others] - points[i], scores[others] - scores[i], rcond=None)[0]
         suggestions[k] = points[i] - 0.5 * distance[i, 1] * slope / max(float(np.linalg.norm(slope)), 1e-12)
     return suggestions
+
+
+def indices_below_local_minima(
+    points: FloatArray, scores: FloatArray, criterion: Criterion, candidates: FloatArray, max_count: int
+) -> IntArray:
+    """Indices of the encoded candidates (k, e) that are nearest to the suggestions, at most `max_count`."""
+    suggestions = suggest_below_local_minima(points, scores, criterion, max_count)
+    if not len(suggestions) or not len(candidates):
+        return np.zeros(0, dtype=np.int64)
+    # For so few points, a tree of all candidates would be slower.
+    return np.asarray(cdist(suggestions, candidates, "sqeuclidean").argmin(axis=1))

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.evidence.gp._process import GaussianProcess
+
+_N_FIRST_TRIED: Final = 512  # candidates with the largest gain that are tried first
 
 Floats = npt.NDArray[np.floating[Any]]
 
@@ -61,3 +63,27 @@ class StraddleSelection:
             least = min(least, float(gain[chosen[-1]]))
             self.condition_on_point(chosen[-1])
         return np.array(chosen, dtype=np.int64), least
+
+
+def choose_by_straddle(process: GaussianProcess, candidates: FloatArray, sampled: FloatArray, n: int) -> IntArray:
+    """Choose `n` candidates by the straddle heuristic, one after the other.
+
+    The variance is conditioned on the `sampled` points and on the points chosen before.
+    """
+    mean, deviation, rows = process.predict_with_projections(np.concatenate([candidates, sampled]))
+    variance, others = deviation**2, np.arange(len(candidates), len(mean))
+    gain = straddle_gains(mean, np.sqrt(variance))[: len(candidates)]
+    order, count = np.argsort(-gain, kind="stable"), max(_N_FIRST_TRIED, n)
+    while True:
+        best = np.sort(order[:count])
+        index = np.concatenate([best, others])
+        selection = StraddleSelection(
+            process, np.concatenate([candidates[best], sampled]), mean[index], variance[index], rows[index]
+        )
+        for i in range(len(best), len(index)):
+            selection.condition_on_point(i)
+        chosen, least = selection.choose_points(n, len(best))
+        # Gains only decrease as other points become known, so none of the remaining candidates can be better.
+        if count >= len(candidates) or least > gain[order[count]]:
+            return best[chosen]
+        count *= 4

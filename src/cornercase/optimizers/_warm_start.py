@@ -86,6 +86,10 @@ class WarmStartOptimizer(CandidateOptimizer):
         )
         return super()._count_space_filling(n_points) + added
 
+    def _encode(self, points: FloatArray) -> FloatArray:
+        """Coordinates of points in the space, (n, e)."""
+        return encode_points(self._space, points)
+
     def _model_coordinates(self, points: FloatArray) -> FloatArray:
         """Coordinates of points for the model of the scores, (n, e); with another study, its prediction is appended."""
         return augment_points(self._source_model, encode_points(self._space, points))
