@@ -209,7 +209,8 @@ def options_in_messages() -> Iterator[str]:
 
 def names_of_plugins() -> Iterator[str]:
     for room, registry in (("optimizers", OPTIMIZERS), ("simulators", SIMULATORS)):
-        known = set(registry.names())
+        # Many options of other rooms may be "auto".
+        known = {*registry.names()} - {"auto"}
         for path, module in modules().items():
             if not path.startswith(f"{room}/"):
                 for node in ast.walk(module):

@@ -375,12 +375,14 @@ def test_an_order_that_cannot_be_is_refused_in_a_sentence(damage, tmp_path):
         explored(tmp_path / "s.db", about(budget=20))
 
 
-@pytest.mark.parametrize("name", at_night((one for one in OPTIMIZERS.names() if one != "optuna"), {"committee"}))
+@pytest.mark.parametrize(
+    "name", at_night((one for one in OPTIMIZERS.names() if one != "optuna"), {"auto", "committee"})
+)
 def test_what_runs_is_never_proposed_and_nothing_twice(name):
     optimizer = OPTIMIZERS.create(name).start(SPACE, 3, threshold=1.0, budget=70)
     twin = OPTIMIZERS.create(name).start(SPACE, 3, threshold=1.0, budget=70)
     rng = np.random.default_rng(0)
-    waiting, seen, count = np.zeros((0, 2)), 0, 30 if name == "committee" else 50
+    waiting, seen, count = np.zeros((0, 2)), 0, 30 if name in ("auto", "committee") else 50
     for _ in range(count):
         new = SPACE.snap(optimizer.ask_async(8 - len(waiting), waiting))
         np.testing.assert_array_equal(new, SPACE.snap(twin.ask_async(8 - len(waiting), waiting)))

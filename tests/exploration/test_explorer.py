@@ -137,6 +137,7 @@ def contents(path):
         ("bayes", (13, 3)),
         pytest.param("bayes", (1, 13, 3, 9), marks=pytest.mark.slow),
         pytest.param("committee", (1, 13, 3, 9), marks=pytest.mark.slow),
+        pytest.param("auto", (1, 13, 3, 9), marks=pytest.mark.slow),
     ],
 )
 def test_killed_again_and_again_it_ends_with_the_same_bytes(optimizer, deaths, tmp_path):

@@ -12,6 +12,7 @@ from conftest import at_night, examples
 from cornercase._common.errors import InputError
 from cornercase.optimizers import (
     OPTIMIZERS,
+    Auto,
     Bayes,
     Committee,
     Grid,
@@ -214,6 +215,7 @@ def test_what_an_optimizer_does_not_declare_it_does_not_get():
     assert {
         name: OPTIMIZERS.get_class(name).requires for name in OPTIMIZERS.names() if OPTIMIZERS.get_class(name).requires
     } == {
+        "auto": {"threshold", "features"},
         "committee": {"threshold", "features"},
         "grid": {"budget"},
         "level-set": {"threshold"},
@@ -233,11 +235,12 @@ MODELS: dict[str, Any] = {
     "bayes": lambda space=CUBE, **more: Bayes(**more).start(space, 5),
     "level-set": lambda space=CUBE, **more: LevelSet(**more).start(space, 5, threshold=0.1),
     "committee": lambda space=CUBE, **more: Committee(**more).start(space, 5, threshold=0.1, features=()),
+    "auto": lambda space=CUBE, **more: Auto(**more).start(space, 5, threshold=0.1, features=()),
 }
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.slow if name == "committee" else ()) for name in MODELS]
+    "name", [pytest.param(name, marks=pytest.mark.slow if name in ("auto", "committee") else ()) for name in MODELS]
 )
 def test_what_is_asked_for_hangs_on_what_was_told_not_on_what_was_asked_or_on_the_rounds(name):
     """A killed study is resumed as if it had not been interrupted."""
@@ -273,9 +276,10 @@ def test_a_model_is_learned_anew_with_ten_more_scores_or_a_share(name, most, mon
         optimizer.tell(more, ridge(more))
         points = np.concatenate([points, more])
         optimizer.ask(1)
-    # A tenth more: 100, 110, 121 and so on; a quarter more: 77, 96, 120 and so on. Asked for when so many were told.
-    tenths, quarters = [100, 110, 121, *([958] if most == 1000 else [])], [96, 120, *([883] if most == 1000 else [])]
-    assert learned == [20, 30, *(quarters if name == "committee" else tenths)]
+    # A tenth more: 100, 110, 121 and so on; a quarter more: 77, 96, 120 and so on; half more: 67, 100, 150 and so on.
+    # Asked for when so many were told.
+    last = {"committee": [96, 120, 883], "auto": [100, 757]}.get(name, [100, 110, 121, 958])
+    assert learned == [20, 30, *(last if most == 1000 else last[:-1])]
 
 
 @pytest.mark.parametrize("name", at_night(MODELS, list(MODELS)[1:]))

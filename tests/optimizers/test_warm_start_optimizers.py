@@ -107,7 +107,7 @@ def test_what_the_other_study_chose_is_made_up_for_by_points_that_fill_the_space
     assert is_score_independent("level-set", CUBE, 0, missed).sum() == 19
 
 
-@pytest.mark.parametrize("name", at_night(["level-set", "committee"], {"committee"}))
+@pytest.mark.parametrize("name", at_night(["level-set", "committee", "auto"], {"auto", "committee"}))
 def test_a_search_that_is_told_again_asks_the_same(name):
     def begun():
         optimizer = OPTIMIZERS.create(name).start(CUBE, 3, threshold=THRESHOLD, budget=40)
@@ -126,7 +126,7 @@ def test_a_search_that_is_told_again_asks_the_same(name):
     assert not np.array_equal(cold, np.concatenate(rounds))
 
 
-@pytest.mark.parametrize("name", sorted({*OPTIMIZERS.names()} - {"level-set", "committee", "optuna"}))
+@pytest.mark.parametrize("name", sorted({*OPTIMIZERS.names()} - {"auto", "level-set", "committee", "optuna"}))
 def test_others_refuse_it_by_name(name):
     optimizer = OPTIMIZERS.create(name).start(CUBE, 3, threshold=THRESHOLD, budget=40)
     assert not optimizer.supports_warm_start

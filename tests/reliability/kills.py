@@ -87,7 +87,7 @@ class Case:
         ]  # fmt: skip
 
 
-SEARCHES = ("sobol", "random", "grid", "bayes", "level-set", "committee", "evolutionary:population=8", "optuna")
+SEARCHES = ("sobol", "random", "grid", "bayes", "level-set", "committee", "auto", "evolutionary:population=8", "optuna")
 WORKERS, CLUSTER, WITHOUT_ROUNDS = ("--workers", "2"), ("--cluster", "local", "--workers", "2"), ("--asynchronous",)
 HERE_ALONE = (
     *(Case(search, budget=40) for search in SEARCHES),

@@ -141,7 +141,9 @@ def _load_warm_start(
         return None
     check_output_differs_from_source(study, config.warm_start, "study")
     if not optimizer.supports_warm_start:
-        raise InputError(f"`warm_start`: {config.optimizer} learns nothing from a study; use level-set or committee.")
+        raise InputError(
+            f"`warm_start`: {config.optimizer} learns nothing from a study; use auto, level-set or committee."
+        )
     return read_warm_start(Path(config.warm_start), config.logical.space, objective, config.ego, config.others)
 
 

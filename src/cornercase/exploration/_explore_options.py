@@ -78,8 +78,8 @@ class ExplorationOptions(SimulationOptions, RunOptions):
         None, "Score from which a scenario is critical; default: the metric's own.", metavar="X",
         stored=lambda meta: None if meta.condition else meta.critical)
     optimizer: str | Optimizer = _search(
-        "bayes", "bayes, level-set, committee, evolutionary, optuna, sobol, grid or random; options after a colon, as"
-        " in bayes:filling=0.", metavar="NAME", stored="optimizer",
+        "bayes", "bayes, auto, level-set, committee, evolutionary, optuna, sobol, grid or random; options after a"
+        " colon, as in bayes:filling=0.", metavar="NAME", stored="optimizer",
         docs="Such as ``cornercase.optimizers.LevelSet(filling=0.1)``; in text, options follow a colon:"
         ' ``"bayes:filling=0"``.')
     budget: int = _search(200, "Number of concrete scenarios to run in all.", metavar="N", minimum=1, stored="budget")

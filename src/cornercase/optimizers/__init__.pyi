@@ -1,3 +1,4 @@
+from ._auto import Auto as Auto
 from ._base import Optimizer as Optimizer
 from ._bayes import Bayes as Bayes
 from ._committee_search import Committee as Committee

@@ -238,4 +238,6 @@ class Optimizer(Configurable, ABC):
         InputError
             The optimizer does not support a warm start.
         """
-        raise InputError(f"`warm_start`: {self.name} learns nothing from another study; use level-set or committee.")
+        raise InputError(
+            f"`warm_start`: {self.name} learns nothing from another study; use auto, level-set or committee."
+        )

@@ -11,6 +11,7 @@ OPTIMIZERS: Final[Registry[Optimizer]] = Registry("optimizer", "cornercase.optim
 """Optimizers by name; other packages add subclasses of `Optimizer` through this entry-point group."""
 
 for _name, _target in (
+    ("auto", "_auto:Auto"),
     ("bayes", "_bayes:Bayes"),
     ("committee", "_committee_search:Committee"),
     ("evolutionary", "_evolutionary:Evolutionary"),

@@ -1,0 +1,158 @@
+"""Search for the whole critical set that chooses its models by what it observes."""
+
+from __future__ import annotations
+
+import math
+from typing import ClassVar, Final
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from cornercase._common.typing import FloatArray, IntArray
+from cornercase.evidence._committee import CommitteeModel
+from cornercase.optimizers._committee_search import Committee, committee_acquisition, coordinate_scales
+from cornercase.optimizers._local_minima import indices_below_local_minima
+from cornercase.optimizers._straddle import choose_by_straddle
+
+_LOCAL_MINIMA_FRACTION: Final = 0.15  # greatest fraction of the points that follow local minima of the scores
+_MAX_FAILURE_PROBABILITY: Final = 0.25  # greatest probability of failure where the process alone chooses
+_CONDITIONING_STEP: Final = 5  # number of further scenarios after which the models are conditioned on them
+
+
+class _ProposalModel(CommitteeModel):
+    """Committee that is trained in a third of the time, without classifiers of little weight."""
+
+    max_kernel_scenarios: ClassVar[int | None] = 80
+    n_trees: ClassVar[int] = 24
+    n_trees_per_fold: ClassVar[int] = 16
+    may_be_alone: ClassVar[bool] = True
+
+
+class Auto(Committee):
+    """Searches for the whole critical set, with the models that predict the observed outcomes best.
+
+    Three classifiers predict which scenarios are critical, as in `Committee`: trees on predicted features of the
+    recordings (on the score, where there are no recordings), a random forest on the parameters, and the Gaussian
+    process of `LevelSet`. The rule:
+
+    1. The first 24 points, and a fraction of all others, are a Sobol' sequence, which no score influences.
+    2. While no scenario is critical, the lowest score so far replaces the threshold, and half of the candidates are
+       near it. While all are critical, a value just below the highest score replaces it.
+    3. Otherwise half of the candidates are near critical scenarios, and half are all over the space.
+    4. Of the three classifiers and their weighted mean, the one with the least out-of-fold log loss of the observed
+       outcomes predicts the probability p that a candidate is critical.
+    5. If this is the process alone, the score is smooth: points are chosen by the straddle heuristic, as in
+       `LevelSet`. Otherwise each point has the largest uncertainty times distance of all candidates. The uncertainty is
+       as in `Committee`: high if p is near one half, or if the branch is uncertain. The distance is that to the nearest
+       scenario that was run or chosen; it counts more along a coordinate with a short length scale, and has no limit.
+    6. Up to 15 % of the points follow local minima of the scores that do not reach the threshold, to find further
+       critical regions.
+
+    If scenarios fail, trees learn where, and likely failures are avoided. With a warm start, the prediction of the
+    other study is an additional coordinate of all classifiers, as in `Committee`.
+
+    Kernels and weights are learned again after every ten new scores, or after half as many more if that is more:
+    from the first 20, 30, 45, 67, 100, 150 and so on. In between, the classifiers are trained again after every five.
+
+    Parameters
+    ----------
+    candidates : int, default 1536
+        Number of candidates from which the points of a round are chosen.
+    filling : float, default 0.2
+        Fraction of the points that fills the space, from 0 to 1.
+
+    Raises
+    ------
+    InputError
+        An option is out of range.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from cornercase.optimizers import Auto
+    >>> from cornercase.scenario import ParameterSpace
+    >>> space = ParameterSpace.from_ranges(["speed=5:15", "gap=0:40"])
+    >>> search = Auto(filling=0.3).start(space, seed=1, threshold=0.25, features=())
+    >>> for _ in range(4):
+    ...     points = search.ask(10)
+    ...     search.tell(points, np.linalg.norm(points - 0.6, axis=1))
+    >>> search.ask(3).shape
+    (3, 2)
+    >>> Auto(filling=0.3), str(Auto(filling=0.3))
+    (Auto(filling=0.3), 'auto:filling=0.3')
+    """
+
+    name = "auto"
+    relearn_growth = 0.5
+    _near_fraction = 0.5
+    _model_class = _ProposalModel
+
+    def __init__(self, candidates: int = 1536, filling: float = 0.2) -> None:
+        super().__init__(candidates, filling)
+
+    def _fit_model(self, points: FloatArray, scores: FloatArray, seed: int) -> None:
+        super()._fit_model(points, scores, seed)
+        self._n_conditioned = self._n_learned
+
+    def _condition_on_fives(self) -> None:
+        """Condition the committee on further scenarios, if there are five more than before or a multiple of five."""
+        count = len(self._points) // _CONDITIONING_STEP * _CONDITIONING_STEP
+        if count > self._n_conditioned:
+            self._condition_committee(count)
+            self._n_conditioned = count
+
+    def _choose_points(self, points: FloatArray, scores: FloatArray, filling: FloatArray, n: int) -> FloatArray:
+        candidates = self._draw_near_and_far(filling, n)
+        if len(candidates) <= n:
+            return candidates
+        below = self._points_below_local_minima(candidates, n)
+        filling, n = np.concatenate([filling, below]), n - len(below)
+        candidates = self._deduplicator.filter_snapped(candidates, filling)
+        if len(candidates) <= n or n == 0:
+            return np.concatenate([below, candidates[:n]])
+        self._condition_on_fives()
+        choose = self._choose_by_process if self._committee.is_process_alone else self._choose_by_committee
+        return np.concatenate([below, candidates[choose(candidates, filling, n)]])
+
+    def _points_below_local_minima(self, candidates: FloatArray, n: int) -> FloatArray:
+        """Candidates that lie downhill from local minima; how many depends only on the number of proposals."""
+        before, after = (math.floor(_LOCAL_MINIMA_FRACTION * k) for k in (self._n_proposed, self._n_proposed + n))
+        count = min(after - before, n)
+        if count == 0:
+            return candidates[:0]
+        below = indices_below_local_minima(
+            self._encode(self._points), self._scores, self._criterion, self._encode(candidates), count
+        )
+        return self._deduplicator.filter_snapped(candidates[below])
+
+    def _choose_by_process(self, candidates: FloatArray, filling: FloatArray, n: int) -> IntArray:
+        """Choose `n` candidates by the straddle heuristic, where they are unlikely to fail."""
+        fails = self._failure_probability(self._encode(candidates))
+        likeliest = np.argsort(fails, kind="stable")
+        likely = np.sort(likeliest[: max(n, int((fails <= _MAX_FAILURE_PROBABILITY).sum()))])
+        coordinates, sampled = self._model_coordinates(candidates[likely]), self._model_coordinates(filling)
+        return likely[choose_by_straddle(self._committee.process, coordinates, sampled, n)]
+
+    def _choose_by_committee(self, candidates: FloatArray, filling: FloatArray, n: int) -> IntArray:
+        """Choose `n` candidates about which the committee is uncertain, away from each other and from what was run."""
+        x = self._encode(candidates)
+        gain = committee_acquisition(*self._committee.predict(self._model_coordinates(candidates)))
+        gain *= 1.0 - self._failure_probability(x)
+        sides = coordinate_scales(self._committee.process, x.shape[1])
+        sampled = self._encode(np.concatenate([self._points, filling]))
+        return _choose_distant(x * sides, gain, sampled * sides, n)
+
+
+def _choose_distant(points: FloatArray, gain: FloatArray, sampled: FloatArray, n: int) -> IntArray:
+    """Choose `n` of the points (m, e), one after the other: the largest gain (m,) times distance from all others.
+
+    The others are the `sampled` points (k, e) and the points chosen before.
+    """
+    distance = np.asarray(cKDTree(sampled).query(points)[0])
+    selected: list[int] = []
+    for _ in range(n):
+        value = gain * distance
+        value[selected] = -1.0
+        selected.append(int(np.argmax(value)))
+        distance = np.minimum(distance, np.linalg.norm(points - points[selected[-1]], axis=1))
+    return np.array(selected, dtype=np.int64)
