@@ -46,9 +46,10 @@ from threadpoolctl import threadpool_limits
 from cornercase import LogicalScenario
 from cornercase.evidence._critical_set_estimate import CriticalSet
 from cornercase.exploration._asynchronous import max_pending_scenarios
-from cornercase.exploration._study_critical_set import is_score_independent
+from cornercase.exploration._study_critical_set import is_score_independent, uses_features
 from cornercase.metrics import METRICS, compute_features, registered_features
 from cornercase.optimizers import (
+    Auto,
     Bayes,
     Committee,
     Evolutionary,
@@ -165,6 +166,9 @@ SEARCHES: dict[str, Callable[[ParameterSpace, int, float, int], Any]] = {
     "committee": lambda space, seed, critical, budget: Committee().start(
         space, seed, threshold=critical, features=registered_features()
     ),
+    "auto": lambda space, seed, critical, budget: Auto().start(
+        space, seed, threshold=critical, features=registered_features()
+    ),
 }
 
 
@@ -257,7 +261,7 @@ class Judge:
             known = CriticalSet(
                 self.space, points, self.scores[places], Criterion(self.case.critical), seed,
                 initial_design=is_score_independent(kind.partition(",")[0], self.space, seed, points),
-                features=(registered_features(), self.features[places]) if kind == "committee" else None,
+                features=(registered_features(), self.features[places]) if uses_features(kind) else None,
             )  # fmt: skip
         except ValueError:
             return row | {"share": np.nan, "missed": np.nan}
@@ -339,7 +343,7 @@ def search(
                 break
             at = judge.places(new)
             # Some take the features too.
-            more = (judge.features[at],) if "features" in optimizer.needs else ()
+            more = (judge.features[at],) if "features" in optimizer.requires else ()
             optimizer.tell(new, judge.scores[at], *more)
             spent, proposals = spent + time.process_time() - begin, proposals + len(new)
             points = np.concatenate([points, new])
@@ -400,9 +404,9 @@ def plot(rows: list[dict[str, Any]], path: Path) -> None:
 
     cases = list(dict.fromkeys(row["case"] for row in rows))
     figure, axes = plt.subplots(2, len(cases), figsize=(3.4 * len(cases), 6.2), squeeze=False, sharex=True)
-    markers = dict(zip(SEARCHES, "sxd^vPo*", strict=True))
+    markers = dict(zip(SEARCHES, "sxd^vPo*D", strict=True))
     # Okabe and Ito's colours, which the colour-blind tell apart.
-    tones = ("#666666", "#0072B2", "#000000", "#E69F00", "#009E73", "#CC79A7", "#D55E00", "#56B4E9")
+    tones = ("#666666", "#0072B2", "#000000", "#E69F00", "#009E73", "#CC79A7", "#D55E00", "#56B4E9", "#F0E442")
     colours = dict(zip(SEARCHES, tones, strict=True))
     for j, case in enumerate(cases):
         for i, quantity in enumerate(("recall", "precision")):

@@ -1,0 +1,195 @@
+"""Searches and peers on the scenarios of exploration.py: F1 of the critical set by three judges, regions met, and CPU.
+
+python benchmarks/peers.py [--half choose|judge] [--only NAME]… [--search NAME]… [--sizes N…] [--steps N] [--seeds N]
+                           [--ncap FOLDER] [--alks FOLDER] [--truth FOLDER] [--json FILE]
+
+The truth, the halves and the folders are those of exploration.py. A search found what it ran, and what a classifier of
+its runs takes for critical:
+
+- ``own``: what `cornercase show` would say, the committee with features for searches that use them, otherwise the
+  process of the scores;
+- ``features``: the committee with features, on the runs of every search;
+- ``parameters``: of the process and a random forest of the parameters, the one with the least log loss in five folds.
+
+``forest-al`` is a peer in a few lines: extremely randomised trees on the parameters, asked where p (1 - p) times the
+distance to what was run is largest. Rounds are of ten. Results are written to --json as they come, and what is there
+already is not run again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import cKDTree
+from sklearn.ensemble import ExtraTreesClassifier
+from threadpoolctl import threadpool_limits
+
+from cornercase.evidence._committee import PREDICTED_CRITICAL, CommitteeModel
+from cornercase.exploration._study_critical_set import uses_features
+from cornercase.metrics import registered_features
+from cornercase.optimizers import Optimizer, Sobol
+from cornercase.study._criterion import Criterion
+from exploration import CASES, CHOOSE, EXAMPLES, JUDGE, SEARCHES, Judge  # type: ignore[attr-defined]
+from judging import best_classifier  # type: ignore[import-not-found]
+
+Floats = npt.NDArray[np.float64]
+KINDS = ("sobol", "bayes", "level-set", "committee", "auto", "forest-al")
+JUDGES = ("own", "features", "parameters")
+ROUND, INITIAL, TREES, CANDIDATES, FILLING, WIDTH = 10, 24, 100, 4096, 0.2, 0.1
+
+
+class ActiveForest(Optimizer):
+    """Samples where trees on the parameters are uncertain, away from what was run; a fifth fills the space."""
+
+    name, requires = "forest-al", frozenset({"threshold"})
+
+    def prepare(self, space: Any, seed: int, *further: Any, **required: Any) -> None:
+        """Prepare the search of a space."""
+        self._space, self._seed, self._threshold = space, seed, required["threshold"]
+        self._sequence = Sobol().start(space, seed)
+        self._points, self._scores = np.zeros((0, space.dimension)), np.zeros(0)
+
+    def tell(self, points: Floats, scores: Floats) -> None:
+        """Observe the scores of one round."""
+        self._points, self._scores = np.concatenate([self._points, points]), np.concatenate([self._scores, scores])
+        self._sequence.tell(points, scores)
+
+    def ask(self, n: int) -> Floats:
+        """Propose n points."""
+        known = len(self._points)
+        filling = n if known < INITIAL else int(FILLING * (known + n)) - int(FILLING * known)
+        first = self._sequence.ask(min(filling, n))
+        if len(first) == n:
+            return first
+        points = self._points[np.isfinite(self._scores)]
+        scores = self._scores[np.isfinite(self._scores)]
+        critical = scores <= max(self._threshold, scores.min())
+        everywhere = Sobol().start(self._space, self._seed + known + 1).ask(CANDIDATES // 2)
+        rng = np.random.default_rng([self._seed, known])
+        centres = points[critical][rng.integers(critical.sum(), size=CANDIDATES // 2)]
+        near = centres + WIDTH * rng.random((len(centres), 1)) * rng.normal(size=centres.shape)
+        candidates = np.unique(self._space.snap(np.clip(np.concatenate([everywhere, near]), 0.0, 1.0)), axis=0)
+        candidates = candidates[self._space.is_admissible(candidates)]
+        trees = ExtraTreesClassifier(TREES, random_state=0).fit(points, critical)
+        p = trees.predict_proba(candidates)[:, trees.classes_].sum(axis=1)
+        # Where all trees agree, the most distant one first.
+        gain = p * (1.0 - p) + 1e-9
+        distance = np.asarray(cKDTree(np.concatenate([self._points, first])).query(candidates)[0])
+        chosen: list[int] = []
+        for _ in range(n - len(first)):
+            chosen.append(int(np.argmax(gain * distance)))
+            distance = np.minimum(distance, np.linalg.norm(candidates - candidates[chosen[-1]], axis=1))
+        return np.concatenate([candidates[chosen], first])
+
+
+def searched(judge: Judge, kind: str, seed: int, budget: int) -> Any:
+    critical = judge.case.critical
+    if kind == "forest-al":
+        return ActiveForest().start(judge.space, seed, threshold=critical)
+    return SEARCHES[kind](judge.space, seed, critical, budget)
+
+
+def f1(judge: Judge, told: npt.NDArray[np.bool_], places: npt.NDArray[np.int64]) -> float:
+    told[places] = judge.true[places]
+    both = judge.agreement(told)
+    return float(2.0 * both["recall"] * both["precision"] / max(both["recall"] + both["precision"], 1e-9))
+
+
+def judged(judge: Judge, kind: str, seed: int, points: Floats) -> dict[str, float]:
+    """F1 by each judge, and the share of the regions that were met."""
+    places = judge.places(points)
+    met = len(set(judge.regions[places]) & judge.large) / max(len(judge.large), 1)
+    row: dict[str, float] = {"hits": float(judge.true[places].sum()), "regions": met} | dict.fromkeys(JUDGES, 0.0)
+    at = places[np.isfinite(judge.scores[places])]
+    if not 0 < judge.true[at].sum() < len(at):
+        return row
+    runs = judge.lattice[at], judge.scores[at], judge.features[at]
+    committee = CommitteeModel(Criterion(judge.case.critical), registered_features(), seed).fit(*runs)
+    row["features"] = f1(judge, committee.predict(judge.lattice)[0] >= PREDICTED_CRITICAL, places)
+    row["own"] = row["features"]
+    if not uses_features(kind):
+        row["own"] = f1(judge, committee.process.predict(judge.lattice)[0] < 0.0, places)
+    _, probability = best_classifier(("process", "forest"), *runs, judge.case.critical, seed)
+    if probability is not None:
+        row["parameters"] = f1(judge, probability(judge.lattice) >= 0.5, places)
+    return row
+
+
+def search(judge: Judge, kind: str, seed: int, sizes: list[int]) -> Iterable[dict[str, float]]:
+    optimizer = searched(judge, kind, seed, sizes[-1])
+    points, spent = np.zeros((0, len(judge.steps))), 0.0
+    for size in sizes:
+        while len(points) < size:
+            begin = time.process_time()
+            new = optimizer.ask(min(ROUND, size - len(points)))
+            at = judge.places(new)
+            more = (judge.features[at],) if "features" in optimizer.requires else ()
+            optimizer.tell(new, judge.scores[at], *more)
+            spent += time.process_time() - begin
+            if not len(new):
+                break
+            points = np.concatenate([points, new])
+        yield {"size": size, "ms": 1e3 * spent / max(len(points), 1), **judged(judge, kind, seed, points)}
+
+
+def table(rows: list[dict[str, Any]], kinds: list[str], sizes: list[int]) -> None:
+    """Print means over seeds, per scenario and over all."""
+    cases = list(dict.fromkeys(row["case"] for row in rows))
+    for size in sizes:
+        for what in (*JUDGES, "regions", "hits", "ms"):
+            print(f"\n{what}, {size} runs\n| search | " + " | ".join((*cases, "mean", "least")) + " |")
+            for kind in kinds:
+                mine = [
+                    [r[what] for r in rows if (r["case"], r["search"], r["size"]) == (case, kind, size)]
+                    for case in cases
+                ]
+                means = [float(np.mean(one)) if one else float("nan") for one in mine]
+                least = min((value for one in mine for value in one), default=float("nan"))
+                digits = 1 if what in ("hits", "ms") else 3
+                print(f"| {kind} | " + " | ".join(f"{v:.{digits}f}" for v in (*means, np.nanmean(means), least)) + " |")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--half", choices=("choose", "judge"), default="judge")
+    parser.add_argument("--only", action="append", choices=CASES, help="only this scenario; may be repeated")
+    parser.add_argument("--search", action="append", choices=(*SEARCHES, "forest-al"), help="may be repeated")
+    parser.add_argument("--sizes", type=int, nargs="+", default=[100, 200])
+    parser.add_argument("--steps", type=int, default=16)
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--ncap", type=Path, metavar="FOLDER")
+    parser.add_argument("--alks", type=Path, metavar="FOLDER")
+    parser.add_argument("--truth", type=Path, default=Path("truth"), metavar="FOLDER")
+    parser.add_argument("--json", type=Path, default=Path("peers.jsonl"), metavar="FILE")
+    options = parser.parse_args()
+    folders = {"examples": EXAMPLES, "ncap": options.ncap, "alks": options.alks}
+    kinds = options.search or list(KINDS)
+    names = options.only or [
+        name for name in (CHOOSE if options.half == "choose" else JUDGE) if folders[CASES[name].of]
+    ]
+    lines = options.json.read_text(encoding="utf-8").splitlines() if options.json.exists() else []
+    rows: list[dict[str, Any]] = [json.loads(line) for line in lines]
+    known = {(row["case"], row["search"], row["seed"]) for row in rows}
+    with threadpool_limits(1):
+        for name in names:
+            judge = Judge(name, folders, options.steps, options.truth, ())
+            print(f"{name}: {judge.true[judge.admitted].mean():.1%} critical, {len(judge.large)} regions", flush=True)
+            for seed in range(options.seeds):
+                for kind in [one for one in kinds if (name, one, seed) not in known]:
+                    new = [{"case": name, "search": kind, "seed": seed, **row}
+                           for row in search(judge, kind, seed, options.sizes)]  # fmt: skip
+                    rows += new
+                    with options.json.open("a", encoding="utf-8") as file:
+                        file.writelines(json.dumps(row) + "\n" for row in new)
+    table([row for row in rows if row["case"] in names], kinds, options.sizes)
+
+
+if __name__ == "__main__":
+    main()
