@@ -131,10 +131,12 @@ def test_it_looks_for_low_scores_while_nothing_is_critical():
 
 def test_if_everything_is_critical_it_searches_for_what_is_not():
     def bump(points):
-        return THRESHOLD - 1.0 + 1.08 * np.exp(-40.0 * ((points - (0.3, 0.6, 0.4)) ** 2).sum(axis=1))
+        return THRESHOLD - 1.0 + 1.3 * np.exp(-40.0 * ((points - (0.3, 0.6, 0.4)) ** 2).sum(axis=1))
 
     points = explored(without_features(1), 100, function=bump)
-    assert (bump(points) > THRESHOLD).sum() >= 3
+    # 0.2 % of the cube.
+    assert (bump(points) > THRESHOLD).sum() >= 5
+    assert (bump(Sobol().start(CUBE, 1).ask(100)) > THRESHOLD).sum() <= 1
     assert len(np.unique(points, axis=0)) == 100
 
 

@@ -20,10 +20,10 @@ _CONDITIONING_STEP: Final = 5  # number of further scenarios after which the mod
 
 
 class _ProposalModel(CommitteeModel):
-    """Committee that is trained in a third of the time, without classifiers of little weight."""
+    """Committee that is trained in less than half of the time, or a single one of its classifiers."""
 
-    max_kernel_scenarios: ClassVar[int | None] = 80
-    n_trees: ClassVar[int] = 24
+    max_kernel_scenarios: ClassVar[int | None] = 120
+    n_trees: ClassVar[int] = 32
     n_trees_per_fold: ClassVar[int] = 16
     may_be_alone: ClassVar[bool] = True
 
@@ -36,9 +36,9 @@ class Auto(Committee):
     process of `LevelSet`. The rule:
 
     1. The first 24 points, and a fraction of all others, are a Sobol' sequence, which no score influences.
-    2. While no scenario is critical, the lowest score so far replaces the threshold, and half of the candidates are
-       near it. While all are critical, a value just below the highest score replaces it.
-    3. Otherwise half of the candidates are near critical scenarios, and half are all over the space.
+    2. While no scenario is critical, the lowest score so far replaces the threshold, and most candidates are near it.
+       While all are critical, a value just below the highest score replaces it.
+    3. Otherwise three quarters of the candidates are near critical scenarios, the others are all over the space.
     4. Of the three classifiers and their weighted mean, the one with the least out-of-fold log loss of the observed
        outcomes predicts the probability p that a candidate is critical.
     5. If this is the process alone, the score is smooth: points are chosen by the straddle heuristic, as in
@@ -56,7 +56,7 @@ class Auto(Committee):
 
     Parameters
     ----------
-    candidates : int, default 1536
+    candidates : int, default 3072
         Number of candidates from which the points of a round are chosen.
     filling : float, default 0.2
         Fraction of the points that fills the space, from 0 to 1.
@@ -84,10 +84,10 @@ class Auto(Committee):
 
     name = "auto"
     relearn_growth = 0.5
-    _near_fraction = 0.5
+    _near_fraction = 0.75
     _model_class = _ProposalModel
 
-    def __init__(self, candidates: int = 1536, filling: float = 0.2) -> None:
+    def __init__(self, candidates: int = 3072, filling: float = 0.2) -> None:
         super().__init__(candidates, filling)
 
     def _fit_model(self, points: FloatArray, scores: FloatArray, seed: int) -> None:
