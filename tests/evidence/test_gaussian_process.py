@@ -171,3 +171,13 @@ def test_what_lies_far_from_the_threshold_counts_where_the_function_is_smooth(di
     near = GaussianProcess().fit(points, squash_around_threshold(scores, Criterion(threshold), squash_scale(scores)))
     wrong = [((one.predict(places)[0] <= 0.0) != (true <= threshold)).mean() for one in (process, near)]
     assert wrong[0] < 0.8 * wrong[1]
+
+
+def test_scores_at_the_threshold_lie_between_those_beyond_it_and_the_others():
+    criterion, levels = Criterion(2.0), np.repeat([0.0, 1.0, 2.0, 3.0, 5.0], 3)
+    values = squash_around_threshold(levels, criterion, 4.0).reshape(5, 3)[:, 0]
+    assert (np.diff(values) >= 0.0).all()
+    assert values[2] < 0.0 < values[3]
+    # Without lower ones they are as far as the scale; a single one is where a smooth score meets the threshold.
+    assert squash_around_threshold(np.array([2.0, 2.0, 3.0]), criterion, 4.0)[0] == pytest.approx(np.tanh(-1.0))
+    assert squash_around_threshold(np.array([2.0, 3.0]), criterion, 4.0)[0] == 0.0

@@ -81,13 +81,16 @@ def squash_around_threshold(scores: FloatArray, criterion: Criterion, scale: flo
     """Shift the threshold to 0, and compress scores far from it by a hyperbolic tangent of the given scale.
 
     Several scores that equal the threshold lie on a plateau of the score, as do those of collisions. How deep in the
-    critical set they are is unknown, so they count as one scale beyond the threshold. At the threshold itself, a
-    process would take each scenario beside them for not critical.
+    critical set they are is unknown, so they count as one scale beyond the threshold, or as half as far as the median
+    of lower scores if that is less. At the threshold itself, a process would take each scenario beside them for not
+    critical.
     """
     margins = criterion.margins(scores)
     on_plateau = margins == 0.0
     if on_plateau.sum() > 1:
-        margins = np.where(on_plateau, -scale, margins)
+        lower = margins[margins < 0.0]
+        depth = min(scale, -0.5 * float(np.median(lower))) if len(lower) else scale
+        margins = np.where(on_plateau, -depth, margins)
     return np.asarray(np.tanh(margins / scale))
 
 
