@@ -353,7 +353,7 @@ class Study(PathLike[str]):
             Earlier study with the same parameters, but another driver, simulator or time step; the search begins with
             its scores. Its ranges may differ: scenarios outside of these are left out. Metrics that it lacks, or that
             it measured against other entities, are measured from its recordings; a condition has to be the same. At
-            least 10 different scores are needed. Only ``LevelSet()`` and ``Committee()`` learn from it.
+            least 10 different scores are needed. ``LevelSet()``, ``Committee()`` and ``Auto()`` learn from it.
         retry_failed : bool, default False
             Run the failed scenarios of the study again before the search goes on.
         progress : bool, optional
