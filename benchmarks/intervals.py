@@ -10,9 +10,9 @@ What a search ran is kept in the folder of --runs, so that judging again runs no
 the scenarios of the half ``choose``; what the docs say is of the half ``judge``.
 
 With ``--process`` the features of recordings are left out, and the Gaussian process of the scores judges alone, as it
-does for all searches but `committee`. With ``--stop`` the criterion ``missed<0.05`` is tested after every 20 scenarios:
-how often it was fulfilled although more was missed, and after how many scenarios, beside the number from which less
-than 4 % was missed.
+does for all searches but `committee` and `auto`. With ``--stop`` the criterion ``missed<0.05`` is tested after every 40
+scenarios: how often it was fulfilled although more was missed, and after how many scenarios, beside the number from
+which less than 4 % was missed.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ from exploration import CHOOSE as CHOOSE_FIRST  # type: ignore[attr-defined]
 from exploration import JUDGE as JUDGE_FIRST  # type: ignore[attr-defined]
 
 SIZES = (60, 100, 200, 400)
-STOP, REACHED, LOOK = 0.05, 0.04, 20
+STOP, REACHED, LOOK = 0.05, 0.04, 40
 
 # Critical is negative where it is the share of the space.
 CHOOSE = {

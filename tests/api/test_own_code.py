@@ -428,6 +428,14 @@ def test_a_driver_with_an_option_that_a_study_cannot_compare_is_refused(driver, 
     assert isinstance(cc.simulate(X, drivers={"Ego": driver}, duration=1.0), cc.Recording)
 
 
+def test_a_number_of_numpy_as_an_option_is_refused_with_the_way_out(problem, tmp_path):
+    simulator = Builtin(drivers={"Ego": Configured(np.int64(2))})
+    with pytest.raises(
+        cc.InputError, match=r"of type int64, .*; give numbers and texts of Python, as `config\.item\(\)`"
+    ):
+        cc.Study.create(tmp_path / "study.db", problem, simulator)
+
+
 @dataclass
 class Remembers(cc.SystemUnderTest):
     """Its list is a field that each scenario fills anew."""

@@ -11,7 +11,7 @@ from cornercase.evidence._committee import CommitteeModel
 from cornercase.evidence.gp._process import fit_boundary_process
 from cornercase.exploration._study_critical_set import is_score_independent, uses_features
 from cornercase.metrics import Feature
-from cornercase.optimizers import OPTIMIZERS, Auto, Sobol
+from cornercase.optimizers import OPTIMIZERS, Auto, Committee, Sobol
 from cornercase.scenario import Constraint, Parameter, ParameterDeclaration, ParameterSpace
 from cornercase.study._criterion import Criterion
 from helpers.search_cases import CUBE, EVERYWHERE, THRESHOLD, explored, two_regions
@@ -200,3 +200,69 @@ def test_its_studies_are_judged_with_features_and_it_is_described_by_its_options
         Auto().start(CUBE, 0)
     with pytest.raises(InputError, match="filling"):
         Auto(filling=1.5)
+
+
+def test_it_looks_for_the_true_threshold_soon_after_the_first_critical_scenario():
+    """The critical one comes late: as long as none is known, the lowest score stands in for the threshold."""
+
+    def far_ball(points):
+        return np.linalg.norm(points - 0.83, axis=1) - 0.05
+
+    search = Auto().start(CUBE, 0, threshold=0.0, features=())
+    points = np.zeros((0, 3))
+    while len(points) < 400 and not (far_ball(points) <= 0.0).any():
+        search.tell(new := search.ask(10), far_ball(new))
+        points = np.concatenate([points, new])
+    first = len(points)
+    search.ask(1)
+    search.tell(new := search.ask(10), far_ball(new))
+    search.ask(1)
+    assert search._committee._criterion.threshold == 0.0
+    assert first < 400
+
+
+def test_one_after_another_the_process_knows_what_ran_since_it_was_conditioned():
+    def disc(points):
+        return np.linalg.norm(points - 0.5, axis=1) - 0.3
+
+    search = Auto().start(CUBE, 1, threshold=0.0, features=())
+    points = search.ask(40)
+    search.tell(points, disc(points))
+    assert search.ask(0) is not None
+    for _ in range(12):
+        new = search.ask(1)
+        search.tell(new, disc(new))
+        assert np.linalg.norm(points - new, axis=1).min() > 0.01
+        points = np.concatenate([points, new])
+
+
+@pytest.mark.parametrize("optimizer", [Auto(), Committee()])
+def test_a_branch_that_appears_between_two_learnings_leads_a_resumed_search_no_elsewhere(optimizer):
+    square, rng = ParameterSpace.from_ranges(["x=0:1", "y=0:1"]), np.random.default_rng(3)
+
+    def drawn(count, beyond):
+        points = rng.random((count, 2))
+        points[:, 0] = np.where(np.arange(count) < beyond, 0.8 + 0.2 * points[:, 0], 0.8 * points[:, 0])
+        return points
+
+    def observed(points):
+        x, y = points.T
+        beyond = x > 0.8
+        checks = np.where((np.floor(6 * x) + np.floor(6 * y)) % 2 == 0, 0.05, 0.4) + 0.01 * x
+        features = [
+            np.where(beyond, np.sin(3 * x) + y, np.sin(5 * x) - y),
+            np.where(beyond, 1.0, -1.0),
+            np.sin(2 * x) + y,
+        ]
+        return points, np.where(beyond, 0.1 + y, checks), np.stack(features, axis=1)
+
+    went_on, told = optimizer.start(square, 1, threshold=0.15, features=FEATURES), []
+    # The second branch has seven scenarios when the kernels are learned, and eight at the next proposals.
+    for points in (drawn(30, 7), drawn(5, 2), drawn(5, 1)):
+        told.append(observed(points))
+        went_on.tell(*told[-1])
+        proposed = went_on.ask(5)
+        resumed = optimizer.start(square, 1, threshold=0.15, features=FEATURES)
+        for scenarios in told:
+            resumed.tell(*scenarios)
+        assert np.array_equal(resumed.ask(5), proposed)

@@ -328,3 +328,42 @@ def test_a_changed_file_of_the_same_name_does_not_hide_the_one_that_was_explored
             found_path(file)
         shutil.copytree(X.parent, explored)
         assert found_path(file) == explored / X.name
+
+
+@pytest.mark.usefixtures("no_cache")
+def test_a_file_that_cannot_be_read_is_passed_over_and_named_where_no_other_is_found(tmp_path, monkeypatch):
+    explored, beside = tmp_path / "a", tmp_path / "b"
+    for folder in (explored, beside / "sub"):
+        shutil.copytree(X.parent, folder)
+    monkeypatch.setattr("cornercase.study._stored_paths._MAX_PARENT_STEPS", 0)
+    monkeypatch.chdir(tmp_path)
+    study = beside / "s.db"
+    search = ("explore", explored / X.name, "--space", explored / SPACE.name, *SEARCH)
+    assert cornercase(*search, "-o", study).returncode == 0
+    with StudyFile.open(study) as file:
+        with monkeypatch.context() as context:
+            is_file = Path.is_file
+
+            def forbidden(path):
+                if explored in path.parents:
+                    raise PermissionError(13, "Permission denied")
+                return is_file(path)
+
+            context.setattr(Path, "is_file", forbidden)
+            context.setattr("cornercase.scenario._locate.ScenarioFile", _unreadable_below(explored))
+            assert found_path(file) == beside / "sub" / X.name
+        shutil.rmtree(beside / "sub")
+        (explored / X.name).write_text("<OpenSCENARIO>")
+        with pytest.raises(InputError, match=r"XML.*; name the file that was explored with `scenario`"):
+            found_path(file)
+
+
+def _unreadable_below(folder):
+    from cornercase.scenario._file import ScenarioFile
+
+    def read(path):
+        if folder in Path(path).parents:
+            raise PermissionError(13, "Permission denied")
+        return ScenarioFile(path)
+
+    return read

@@ -123,6 +123,8 @@ def require_storable_options(
     defaults = _factory_defaults(configured)
     for name, value in given_options(configured).items():
         if name not in stored and not (name in defaults and _is_equal(value, defaults[name])):
+            if type(value).__module__ == "numpy" and "ndarray" not in type(value).__name__:
+                hint = f"give numbers and texts of Python, as `{name}.item()` is"
             raise InputError(
                 f"{type(configured).__qualname__}: its option `{name}` is of type {type(value).__name__}, which a study"
                 f" cannot store and compare; {hint}."

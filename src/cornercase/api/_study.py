@@ -1071,7 +1071,7 @@ class Study(PathLike[str]):
         """Description of the study and its most critical scenarios, for notebooks."""
         if self._problem is not None and not self.path.exists():
             return render_html(repr(self))
-        with self._read() as file:
+        with self._read() as file, file.snapshot():
             table = _table_with_critical(file)
             # If the package of a metric is missing, the first scenarios are shown.
             with suppress(InputError):

@@ -95,6 +95,7 @@ class CommitteeModel:
         self.process = fit_boundary_process(points, scores, self._criterion, has_prediction=self._has_prediction)
         self._weights = np.ones(3)
         self._learn_features(points, scores, features)
+        self._kernels = self._feature_models.kernels
         by_member = self._out_of_fold_by_member(self.n_trees_per_fold)
         self._weights = _fit_member_weights(by_member, self._critical)
         if self.may_be_alone:
@@ -108,7 +109,8 @@ class CommitteeModel:
         """Replace the known scenarios, but not the kernels and weights; arguments as for `fit`."""
         self.process.condition_on_scores(points, scores, self._criterion)
         if not self.is_process_alone:
-            self._learn_features(points, scores, features, self._feature_models.kernels)
+            # Those of a branch that appeared since are learned each time, so that earlier calls do not matter.
+            self._learn_features(points, scores, features, self._kernels)
             self._trees, self._forest = self._train_trees(np.arange(len(self._points)), self.n_trees)
         return self
 

@@ -52,7 +52,8 @@ class Auto(Committee):
     other study is an additional coordinate of all classifiers, as in `Committee`.
 
     Kernels and weights are learned again after every ten new scores, or after half as many more if that is more:
-    from the first 20, 30, 45, 67, 100, 150 and so on. In between, the classifiers are trained again after every five.
+    from the first 20, 30, 45, 67, 100, 150 and so on; while all scenarios are critical, or none, after every ten. In
+    between, the classifiers are trained again after every five.
 
     Parameters
     ----------
@@ -94,8 +95,20 @@ class Auto(Committee):
         super()._fit_model(points, scores, seed)
         self._n_conditioned = self._n_learned
 
+    def _count_to_learn_from(self) -> int:
+        """Number of scenarios to learn from: also the first tens while all are on one side, and the first on both."""
+        number, tens = super()._count_to_learn_from(), len(self._scores) // 10 * 10
+        critical = self._criterion.is_critical(self._scores)
+        if tens <= number or 0 < critical[:number].sum() < self._is_finished[:number].sum():
+            return number
+        both = [int(np.flatnonzero(side)[0]) for side in (critical, self._is_finished & ~critical) if side.any()]
+        if len(both) == 2:
+            tens = min(tens, max(-(-(max(both) + 1) // 10) * 10, number))
+        scores = self._scores[:tens][self._is_finished[:tens]]
+        return tens if np.ptp(scores) > 0.0 else number
+
     def _condition_on_fives(self) -> None:
-        """Condition the committee on further scenarios, if there are five more than before or a multiple of five."""
+        """Condition the committee on further scenarios whenever their number reaches a multiple of five."""
         count = len(self._points) // _CONDITIONING_STEP * _CONDITIONING_STEP
         if count > self._n_conditioned:
             self._condition_committee(count)
@@ -130,7 +143,9 @@ class Auto(Committee):
         fails = self._failure_probability(self._encode(candidates))
         likeliest = np.argsort(fails, kind="stable")
         likely = np.sort(likeliest[: max(n, int((fails <= _MAX_FAILURE_PROBABILITY).sum()))])
-        coordinates, sampled = self._model_coordinates(candidates[likely]), self._model_coordinates(filling)
+        # The process does not know the scenarios since the last multiple of five.
+        sampled = self._model_coordinates(np.concatenate([self._points[self._n_conditioned :], filling]))
+        coordinates = self._model_coordinates(candidates[likely])
         return likely[choose_by_straddle(self._committee.process, coordinates, sampled, n)]
 
     def _choose_by_committee(self, candidates: FloatArray, filling: FloatArray, n: int) -> IntArray:

@@ -152,7 +152,9 @@ class LevelSet(WarmStartOptimizer):
             return candidates
         process = self._process
         if len(points):
-            values = squash_around_threshold(scores, self._criterion, process.squash_scale)
+            # All scores show which of them lie on a plateau.
+            finished = self._scores[self._is_finished]
+            values = squash_around_threshold(finished, self._criterion, process.squash_scale)[-len(points) :]
             process = process.with_more_values(self._model_coordinates(points), values)
         return candidates[
             choose_by_straddle(process, self._model_coordinates(candidates), self._model_coordinates(filling), n)

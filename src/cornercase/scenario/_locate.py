@@ -41,7 +41,7 @@ def read_if_fingerprint_matches(path: Path, fingerprint: str, space: ParameterSp
     try:
         scenario = add_varied_roads(ScenarioFile(path), space)
         return scenario if scenario.fingerprint() == fingerprint else None
-    except InputError:
+    except (InputError, OSError):
         return None
 
 

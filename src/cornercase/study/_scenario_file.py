@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 
 from cornercase._common.errors import InputError
@@ -43,7 +44,8 @@ def find_explored_scenario(
         if path is not None:
             if (explored := read_if_fingerprint_matches(path, meta.fingerprint, meta.space)) is not None:
                 return explored
-            changed += [path] if path.is_file() else []
+            with suppress(OSError):
+                changed += [path] if path.is_file() else []
     explored, others = find_scenario_file(meta.file_name, meta.fingerprint, (study.path.parent, Path()), meta.space)
     if explored is not None:
         return explored
@@ -56,7 +58,11 @@ def find_explored_scenario(
             f" two folders below{at}; name it with `scenario`."
         )
     files = list(dict.fromkeys(str(path.resolve()) for path in changed))
-    return _require_explored(study, add_varied_roads(ScenarioFile.read(changed[0]), meta.space), len(files) - 1)
+    try:
+        first = add_varied_roads(ScenarioFile.read(changed[0]), meta.space)
+    except (InputError, OSError) as error:
+        raise InputError(f"{str(error).rstrip('.')}; name the file that was explored with `scenario`.") from error
+    return _require_explored(study, first, len(files) - 1)
 
 
 def _require_explored(study: StudyFile, scenario: ScenarioFile, n_others: int = 0) -> ScenarioFile:
