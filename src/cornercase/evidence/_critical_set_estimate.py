@@ -266,8 +266,8 @@ class CriticalSet:
         if self.interval_unavailable is not None or hits >= _MIN_CRITICAL or self.is_exhausted:
             return self.interval_unavailable
         return (
-            f"only {hits} of the scenarios that were chosen without looking at scores are critical; {_MIN_CRITICAL} are"
-            " needed"
+            f"only {hits} of the scenarios that were chosen without looking at scores {'is' if hits == 1 else 'are'}"
+            f" critical; {_MIN_CRITICAL} are needed"
         )
 
     @cached_property
