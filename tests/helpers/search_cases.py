@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import qmc
 
+from cornercase.metrics import Feature
 from cornercase.scenario import ParameterSpace
 
 CUBE = ParameterSpace.from_ranges(["a=0:1", "b=0:1", "c=0:1"])
@@ -33,3 +34,16 @@ def two_regions(points):
     pillar = np.hypot(points[:, 0] - 0.25, points[:, 1] - 0.3) - 0.18
     ball = np.linalg.norm(points - (0.8, 0.75, 0.5), axis=1) - 0.2
     return THRESHOLD + 5 * np.minimum(pillar, ball)
+
+
+FEATURES = (Feature("least-clearance", "m"), Feature("crossing-gap", "s", branch=True), Feature("lowest-speed", "m/s"))
+
+
+def wall(points):
+    """Score and features where one of two yields only if it comes later: the score jumps to 5 along a curved wall."""
+    a, b, c = points.T
+    gap = a + 0.3 * np.sin(4 * b) - 0.6
+    first = gap > 0.0
+    near = 2.0 * np.abs(gap) + 0.4 * np.abs(c - 0.5)
+    scores = np.where(first, 5.0 + near, near + 0.6)
+    return scores, np.stack([np.where(first, 3.0 + near, near), gap, np.where(first, 1.0, 0.0) + b], axis=1)

@@ -10,23 +10,10 @@ from cornercase._common.errors import InputError
 from cornercase.evidence._committee import CommitteeModel
 from cornercase.evidence.gp._process import fit_boundary_process
 from cornercase.exploration._study_critical_set import is_score_independent, uses_features
-from cornercase.metrics import Feature
 from cornercase.optimizers import OPTIMIZERS, Auto, Committee, Sobol
 from cornercase.scenario import Constraint, Parameter, ParameterDeclaration, ParameterSpace
 from cornercase.study._criterion import Criterion
-from helpers.search_cases import CUBE, EVERYWHERE, THRESHOLD, explored, two_regions
-
-FEATURES = (Feature("least-clearance", "m"), Feature("crossing-gap", "s", branch=True), Feature("lowest-speed", "m/s"))
-
-
-def wall(points):
-    """Score and features where one of two yields only if it comes later: the score jumps to 5 along a curved wall."""
-    a, b, c = points.T
-    gap = a + 0.3 * np.sin(4 * b) - 0.6
-    first = gap > 0.0
-    near = 2.0 * np.abs(gap) + 0.4 * np.abs(c - 0.5)
-    scores = np.where(first, 5.0 + near, near + 0.6)
-    return scores, np.stack([np.where(first, 3.0 + near, near), gap, np.where(first, 1.0, 0.0) + b], axis=1)
+from helpers.search_cases import CUBE, EVERYWHERE, FEATURES, THRESHOLD, explored, two_regions, wall
 
 
 def islands(points):

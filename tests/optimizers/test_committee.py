@@ -8,26 +8,13 @@ import pytest
 from conftest import at_night
 from cornercase.evidence._committee import CommitteeModel
 from cornercase.evidence.gp._process import fit_boundary_process
-from cornercase.metrics import Feature
 from cornercase.optimizers import Committee, LevelSet, Sobol
 from cornercase.scenario import Parameter, ParameterSpace
 from cornercase.study._criterion import Criterion
-from helpers.search_cases import CUBE, EVERYWHERE, THRESHOLD, explored, two_regions
-
-FEATURES = (Feature("least-clearance", "m"), Feature("crossing-gap", "s", branch=True), Feature("lowest-speed", "m/s"))
+from helpers.search_cases import CUBE, EVERYWHERE, FEATURES, THRESHOLD, explored, two_regions, wall
 
 
-def outcome(points):
-    """Score and features where one side yields only if it comes later: the score jumps to 5 there, 13 % is critical."""
-    a, b, c = points.T
-    gap = a + 0.3 * np.sin(4 * b) - 0.6
-    first = gap > 0.0
-    near = 2.0 * np.abs(gap) + 0.4 * np.abs(c - 0.5)
-    scores = np.where(first, 5.0 + near, near + 0.6)
-    return scores, np.stack([np.where(first, 3.0 + near, near), gap, np.where(first, 1.0, 0.0) + b], axis=1)
-
-
-def search(optimizer, budget=100, function=outcome, batch=10):
+def search(optimizer, budget=100, function=wall, batch=10):
     points = np.zeros((0, 3))
     while len(points) < budget:
         new = optimizer.ask(batch)
@@ -45,18 +32,18 @@ def test_it_follows_a_score_that_jumps_where_one_process_cannot(by):
     def chosen(optimizer, function):
         return Sobol().start(CUBE, 1).ask(200) if by == "sobol" else search(optimizer, 200, function)
 
-    true = outcome(EVERYWHERE)[0] <= THRESHOLD
-    points = chosen(Committee().start(CUBE, 2, threshold=THRESHOLD, features=FEATURES), outcome)
-    scores, told = outcome(points)
+    true = wall(EVERYWHERE)[0] <= THRESHOLD
+    points = chosen(Committee().start(CUBE, 2, threshold=THRESHOLD, features=FEATURES), wall)
+    scores, told = wall(points)
     critical, branch = CommitteeModel(Criterion(THRESHOLD), FEATURES).fit(points, scores, told).predict(EVERYWHERE)
     recall, precision = agreement(critical > 0.5, true)
     assert recall > 0.8
     assert precision > 0.85
     # The branch is certain, except at the edge.
-    sure = np.abs(outcome(EVERYWHERE)[1][:, 1]) > 0.1
+    sure = np.abs(wall(EVERYWHERE)[1][:, 1]) > 0.1
     assert (branch[sure] > 0.8).mean() > 0.95
-    others = chosen(LevelSet().start(CUBE, 2, threshold=THRESHOLD), lambda at: outcome(at)[:1])
-    alone = fit_boundary_process(others, outcome(others)[0], Criterion(THRESHOLD)).predict(EVERYWHERE)[0] < 0.0
+    others = chosen(LevelSet().start(CUBE, 2, threshold=THRESHOLD), lambda at: wall(at)[:1])
+    alone = fit_boundary_process(others, wall(others)[0], Criterion(THRESHOLD)).predict(EVERYWHERE)[0] < 0.0
     assert recall > agreement(alone, true)[0] + 0.09
 
 
@@ -66,10 +53,10 @@ def test_of_many_scenarios_its_processes_know_those_that_tell_most():
         max_process_scenarios = 150
 
     points = Sobol().start(CUBE, 1).ask(300)
-    scores, features = outcome(points)
+    scores, features = wall(points)
     every = CommitteeModel(Criterion(THRESHOLD), FEATURES).fit(points, scores, features).predict(EVERYWHERE)[0]
     some = Limited(Criterion(THRESHOLD), FEATURES).fit(points, scores, features)
-    true = outcome(EVERYWHERE)[0] <= THRESHOLD
+    true = wall(EVERYWHERE)[0] <= THRESHOLD
     for critical in (every, some.predict(EVERYWHERE)[0]):
         recall, precision = agreement(critical > 0.5, true)
         assert recall > 0.75
@@ -86,9 +73,9 @@ def test_of_many_scenarios_its_trees_know_those_that_tell_most():
         max_tree_scenarios = 200
 
     points = Sobol().start(CUBE, 1).ask(400)
-    scores, features = outcome(points)
+    scores, features = wall(points)
     some = Limited(Criterion(THRESHOLD), FEATURES).fit(points, scores, features)
-    recall, precision = agreement(some.predict(EVERYWHERE)[0] > 0.5, outcome(EVERYWHERE)[0] <= THRESHOLD)
+    recall, precision = agreement(some.predict(EVERYWHERE)[0] > 0.5, wall(EVERYWHERE)[0] <= THRESHOLD)
     assert recall > 0.75
     assert precision > 0.75
     wrong = (some.out_of_fold_probability() > 0.5) != (scores <= THRESHOLD)
@@ -114,7 +101,7 @@ def test_it_goes_on_as_if_it_had_never_stopped():
     whole = search(Committee().start(CUBE, 5, threshold=THRESHOLD, features=FEATURES), 80)
     again = Committee().start(CUBE, 5, threshold=THRESHOLD, features=FEATURES)
     for first in range(0, 60, 10):
-        again.tell(whole[first : first + 10], *outcome(whole[first : first + 10]))
+        again.tell(whole[first : first + 10], *wall(whole[first : first + 10]))
     np.testing.assert_array_equal(again.ask(10), whole[60:70])
     np.testing.assert_array_equal(again.ask(10), whole[60:70])
 
@@ -133,7 +120,7 @@ def test_it_looks_for_low_scores_while_nothing_is_critical():
 @pytest.mark.slow
 def test_it_asks_little_where_scenarios_fail():
     def fails(points):
-        scores, told = outcome(points)
+        scores, told = wall(points)
         failed = points[:, 1] > 0.8
         return np.where(failed, np.nan, scores), np.where(failed[:, None], np.nan, told)
 
@@ -173,7 +160,7 @@ def test_choices_and_finite_spaces_are_run_whole():
 
 def test_what_is_told_out_of_fold_is_as_good_as_it_says():
     points = Sobol().start(CUBE, 3).ask(300)
-    scores, told = outcome(points)
+    scores, told = wall(points)
     committee = CommitteeModel(Criterion(2.0), FEATURES).fit(points, scores, told)
     outside, inside = committee.out_of_fold_probability(), committee.predict(points)[0]
     critical = scores <= 2.0
@@ -181,5 +168,5 @@ def test_what_is_told_out_of_fold_is_as_good_as_it_says():
     # Scenarios it was trained on are reproduced, left-out ones are not.
     assert np.abs(inside - critical).mean() < 0.5 * np.abs(outside - critical).mean()
     new = Sobol().start(CUBE, 9).ask(2000)
-    wrong = np.abs(committee.predict(new)[0] - (outcome(new)[0] <= 2.0)).mean()
+    wrong = np.abs(committee.predict(new)[0] - (wall(new)[0] <= 2.0)).mean()
     assert np.abs(outside - critical).mean() == pytest.approx(wrong, rel=0.35)

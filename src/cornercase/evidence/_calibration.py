@@ -16,8 +16,6 @@ _REACH: Final = 4.0
 _FULL_WEIGHT_COUNT: Final = 160
 # Greatest number of bins of the predictions of each class in the likelihood.
 _MAX_BINS: Final = 128
-
-
 # Rates of surprises that are possible: none, or one of these.
 _SURPRISE_RATES: Final = np.append(0.0, 0.3 * 0.5 ** np.arange(9))
 

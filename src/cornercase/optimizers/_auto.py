@@ -10,7 +10,13 @@ from scipy.spatial import cKDTree
 
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.evidence._committee import CommitteeModel
-from cornercase.optimizers._committee_search import Committee, committee_acquisition, coordinate_scales
+from cornercase.optimizers._candidates import MIN_NEW_SCENARIOS
+from cornercase.optimizers._committee_search import (
+    Committee,
+    choose_distant,
+    committee_acquisition,
+    coordinate_scales,
+)
 from cornercase.optimizers._local_minima import indices_below_local_minima
 from cornercase.optimizers._straddle import choose_by_straddle
 
@@ -97,15 +103,15 @@ class Auto(Committee):
 
     def _count_to_learn_from(self) -> int:
         """Number of scenarios to learn from: also the first tens while all are on one side, and the first on both."""
-        number, tens = super()._count_to_learn_from(), len(self._scores) // 10 * 10
-        critical = self._criterion.is_critical(self._scores)
-        if tens <= number or 0 < critical[:number].sum() < self._is_finished[:number].sum():
+        number, latest = super()._count_to_learn_from(), len(self._scores) // MIN_NEW_SCENARIOS * MIN_NEW_SCENARIOS
+        finished, critical = self._is_finished, self._criterion.is_critical(self._scores)
+        if latest <= number or 0 < critical[:number].sum() < finished[:number].sum():
             return number
-        both = [int(np.flatnonzero(side)[0]) for side in (critical, self._is_finished & ~critical) if side.any()]
-        if len(both) == 2:
-            tens = min(tens, max(-(-(max(both) + 1) // 10) * 10, number))
-        scores = self._scores[:tens][self._is_finished[:tens]]
-        return tens if np.ptp(scores) > 0.0 else number
+        first_by_side = [np.flatnonzero(side)[:1] for side in (critical, finished & ~critical)]
+        if all(map(len, first_by_side)):
+            first_both = 1 + int(np.concatenate(first_by_side).max())
+            latest = min(latest, math.ceil(first_both / MIN_NEW_SCENARIOS) * MIN_NEW_SCENARIOS)
+        return latest if np.ptp(self._scores[:latest][finished[:latest]]) > 0.0 else number
 
     def _condition_on_fives(self) -> None:
         """Condition the committee on further scenarios whenever their number reaches a multiple of five."""
@@ -155,19 +161,5 @@ class Auto(Committee):
         gain *= 1.0 - self._failure_probability(x)
         sides = coordinate_scales(self._committee.process, x.shape[1])
         sampled = self._encode(np.concatenate([self._points, filling]))
-        return _choose_distant(x * sides, gain, sampled * sides, n)
-
-
-def _choose_distant(points: FloatArray, gain: FloatArray, sampled: FloatArray, n: int) -> IntArray:
-    """Choose `n` of the points (m, e), one after the other: the largest gain (m,) times distance from all others.
-
-    The others are the `sampled` points (k, e) and the points chosen before.
-    """
-    distance = np.asarray(cKDTree(sampled).query(points)[0])
-    selected: list[int] = []
-    for _ in range(n):
-        value = gain * distance
-        value[selected] = -1.0
-        selected.append(int(np.argmax(value)))
-        distance = np.minimum(distance, np.linalg.norm(points - points[selected[-1]], axis=1))
-    return np.array(selected, dtype=np.int64)
+        distance = np.asarray(cKDTree(sampled * sides).query(x * sides)[0])
+        return choose_distant(x * sides, gain, distance, n)

@@ -14,7 +14,7 @@ from cornercase.optimizers._base import Optimizer
 from cornercase.optimizers._space_filling import Sobol
 from cornercase.scenario import ParameterSpace
 
-_MIN_NEW_SCENARIOS: Final = 10  # number of new scenarios after which the model is learned anew, at least
+MIN_NEW_SCENARIOS: Final = 10  # number of new scenarios after which the model is learned anew, at least
 _MIN_SCORES: Final = 3  # number of scores from which the model is learned
 
 
@@ -105,8 +105,8 @@ class CandidateOptimizer(Optimizer):
     def _count_to_learn_from(self) -> int:
         """Number of scenarios, from the first on, that the model is learned from."""
         count = len(self._scores)
-        number = min(_MIN_NEW_SCENARIOS, count)
-        while (more := number + max(_MIN_NEW_SCENARIOS, int(self.relearn_growth * number))) <= count:
+        number = min(MIN_NEW_SCENARIOS, count)
+        while (more := number + max(MIN_NEW_SCENARIOS, int(self.relearn_growth * number))) <= count:
             number = more
         scores = self._scores[:number][self._is_finished[:number]]
         return number if len(scores) >= _MIN_SCORES and np.ptp(scores) > 0.0 else count

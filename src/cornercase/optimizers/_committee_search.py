@@ -188,7 +188,14 @@ def _choose_spread_out(
     # Points this far apart do not differ along short sides: use the longest sides, as many as maximize the spacing.
     longest = np.sort(sides)[::-1]
     spacing = ((np.cumprod(longest) / len(sampled)) ** (1.0 / np.arange(1, len(sides) + 1))).max()
-    distance = np.minimum(cKDTree(sampled).query(points)[0], spacing)
+    return choose_distant(points, gain, np.minimum(cKDTree(sampled).query(points)[0], spacing), n)
+
+
+def choose_distant(points: FloatArray, gain: FloatArray, distance: FloatArray, n: int) -> IntArray:
+    """Choose `n` of the points (m, e), one after the other: the largest gain (m,) times distance (m,).
+
+    `distance` is that to what is known; points that were chosen are known, too.
+    """
     selected: list[int] = []
     for _ in range(n):
         value = gain * distance
