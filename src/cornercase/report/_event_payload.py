@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final
 
 from cornercase.metrics._outcome import Impact
@@ -13,23 +13,35 @@ MAX_WITH_EVENTS: Final = 1000
 """Largest number of recordings of a page with events: finding them takes some ms each."""
 
 
-def find_events_of_scenarios(study: StudyFile, ids: Iterable[int]) -> dict[str, dict[str, Any]]:
-    """Find the events of scenarios that ran, by id; of the first 1000 if there are more."""
-    return {str(scenario): find_events_of_scenario(study, scenario) for scenario in list(ids)[:MAX_WITH_EVENTS]}
+def find_events_of_scenarios(
+    study: StudyFile, ids: Iterable[int], impacts: Mapping[int, Sequence[Impact]]
+) -> dict[str, dict[str, Any]]:
+    """Find the events of scenarios that ran, by id; of the first 1000 if there are more.
+
+    `impacts` are those of each scenario that ran.
+    """
+    return {
+        str(scenario): find_events_of_scenario(study, scenario, impacts=impacts[scenario])
+        for scenario in list(ids)[:MAX_WITH_EVENTS]
+    }
 
 
-def find_events_of_scenario(study: StudyFile, scenario: int, recording: Recording | None = None) -> dict[str, Any]:
+def find_events_of_scenario(
+    study: StudyFile, scenario: int, recording: Recording | None = None, impacts: Sequence[Impact] | None = None
+) -> dict[str, Any]:
     """Find the events of a scenario that ran, with the entity that counts.
 
     That is the one that the ego collides with first; else the one that the score by the study's first metric is
-    measured against. `recording` is that of the scenario, by default read from the study.
+    measured against. `recording` and `impacts` are those of the scenario, by default read from the study.
     """
     from cornercase.metrics._timeline import find_events
 
     meta = study.meta
     recording = study.recording(scenario) if recording is None else recording
-    # They are the same for each other entity.
-    impact = _first_impact(study.digest(scenario).outcomes[0].impacts, meta.others)
+    if impacts is None:
+        # They are the same for each other entity.
+        impacts = study.digest(scenario).outcomes[0].impacts
+    impact = _first_impact(impacts, meta.others)
     if impact is None:
         sources = study.scenario_score_sources(scenario)
         other = sources.get(meta.metrics[0]) or meta.others[0]

@@ -143,7 +143,7 @@ def write_report(
         with show_bars(progress), progress_step(len(opened.finished_rows()), "reading", "recordings") as tell:
             data = read_report_data(opened, figures=folder is not False, memory=limit, on_read=tell)
         recordings = encode_important_recordings(opened, data)
-        events = find_events_of_scenarios(opened, recordings)
+        events = find_events_of_scenarios(opened, recordings, data.impacts)
         sketch, missing = find_road_outline(opened, data.region, scenario, data.rows[0].values)
         if is_missing_map(missing):
             issue_notice_warning(missing.removesuffix("."))

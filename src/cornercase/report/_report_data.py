@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -53,7 +54,7 @@ class ReportData:
     course_lines: Mapping[str, Mapping[int, FloatArray]]  # resampled courses by metric and id, shape (COURSE_POINTS,)
     courses: Mapping[str, Mapping[int, Float32Array]]  # capped courses by metric and id, shape (T,); only for figures
     entities_hit: Mapping[int, frozenset[str]]  # entities the ego collides with, by id
-    hardest_impacts: Mapping[int, Impact]  # by id: the ego's fastest collision with one of the others
+    impacts: Mapping[int, Sequence[Impact]]  # collisions of the ego, by id
     approaches: Mapping[int, NearMiss]  # by id: how near the ego came to one of the others, if it met one
     examples: Mapping[int, Recording]  # recordings of the clusters' examples, by id
     values: FloatArray  # parameters, shape (n, d); indices for choices
@@ -80,6 +81,15 @@ class ReportData:
         """Whether the ego touches one of the others, by row, shape (n,)."""
         others = self.summary.meta.others
         return np.array([not self.entities_hit[row.id].isdisjoint(others) for row in self.rows], dtype=np.bool_)
+
+    @cached_property
+    def hardest_impacts(self) -> dict[int, Impact]:
+        """The ego's fastest collision in each scenario with one, by id."""
+        return {
+            scenario: max(hits, key=lambda impact: np.nan_to_num(impact.speed))
+            for scenario, hits in self.impacts.items()
+            if hits
+        }
 
     @property
     def hardest_first(self) -> list[tuple[int, Impact]]:
@@ -159,11 +169,7 @@ def read_report_data(
         course_lines=lines,
         courses=courses,
         entities_hit=touched,
-        hardest_impacts={
-            scenario: max(hits, key=lambda impact: np.nan_to_num(impact.speed))
-            for scenario, hits in impacts.items()
-            if hits
-        },
+        impacts=impacts,
         approaches=approaches,
         examples=_read_examples(study, summary.analyses) if charts else {},
         values=values,

@@ -45,6 +45,7 @@ _Array = TypeVar("_Array", FloatArray, IntArray)
 _EGO_COLUMNS: Final = slice(1, 3)
 _N_OTHER_COLUMNS: Final = 4
 _FIRST_OTHER_COLUMN: Final = 3
+_DIGEST_ARRAYS: Final = frozenset(("series", "courses", "lines", "rounded"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -302,8 +303,8 @@ def _decode_fault(fault: Sequence[Any] | None = None) -> Fault | None:
 
 
 def decode_digest(facts: Mapping[str, Any], packed: bytes, meta: StudyMeta) -> ScenarioDigest:
-    """Decode a digest; raise `ValueError` if it does not fit the study."""
-    arrays = unpack_arrays(packed)
+    """Decode a digest, without its features; raise `ValueError` if it does not fit the study."""
+    arrays = unpack_arrays(packed, names=_DIGEST_ARRAYS)
     n_instants, stride, collisions = facts["instants"], facts["stride"], decode_collisions(facts)
     require_value(
         isinstance(n_instants, int) and isinstance(stride, int) and n_instants > 0 and stride > 0, "a digest's length"

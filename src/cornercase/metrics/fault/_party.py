@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from cornercase._common.geometry.boxes import box_corners, boxes_overlap
+from cornercase._common.geometry.boxes import box_corners
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.recordings import Recording
 
@@ -58,7 +58,7 @@ class Party:
             recording.time[instants],
             center[instants, 0],
             center[instants, 1],
-            np.unwrap(recording.heading[i, instants]),
+            _without_jumps(recording.heading[i, instants]),
             recording.speed[i, instants],
             (float(recording.length[i]), float(recording.width[i])),
         )
@@ -112,6 +112,11 @@ class Party:
         return box_corners(*poses, *self.size)
 
 
+def _without_jumps(heading: FloatArray) -> FloatArray:
+    """Unwrap headings in rad; most have no jump, which is quick to see."""
+    return np.unwrap(heading) if len(heading) > 1 and np.abs(heading[1:] - heading[:-1]).max() > np.pi else heading
+
+
 def iter_obstacles(
     recording: Recording, names: tuple[str, str], end: float, look_back: float = _LOOK_BACK
 ) -> Iterator[Party]:
@@ -122,17 +127,24 @@ def iter_obstacles(
 
 
 def boxes_touch(first: Party, poses: Poses, second: Party, other_poses: Poses) -> BoolArray:
-    """Whether the boxes of two entities touch at poses, which are broadcast; only boxes that are near are compared."""
+    """Whether the boxes of two entities touch at poses, which are broadcast; only boxes that are near are compared.
+
+    Source: separating axis theorem.
+    """
     reach = 0.5 * (math.hypot(*first.size) + math.hypot(*second.size))
-    is_near = (other_poses[0] - poses[0]) ** 2 + (other_poses[1] - poses[1]) ** 2 <= reach**2 * (1.0 + 1e-9)
-    touches: BoolArray = np.zeros(is_near.shape, dtype=np.bool_)
-    if is_near.any():
-        touches[is_near] = boxes_overlap(
-            first.corners(_select_poses(poses, is_near)), second.corners(_select_poses(other_poses, is_near))
-        )
+    dx, dy = other_poses[0] - poses[0], other_poses[1] - poses[1]
+    touches: BoolArray = dx**2 + dy**2 <= reach**2 * (1.0 + 1e-9)
+    if touches.any():
+        dx, dy = dx[touches], dy[touches]
+        heading, other_heading = (np.broadcast_to(values[2], touches.shape)[touches] for values in (poses, other_poses))
+        cos, sin = np.abs(np.cos(other_heading - heading)), np.abs(np.sin(other_heading - heading))
+        overlap = np.ones(len(dx), dtype=np.bool_)
+        for axis, (length, width), (other_length, other_width) in (
+            (heading, first.size, second.size),
+            (other_heading, second.size, first.size),
+        ):
+            along, across = np.cos(axis), np.sin(axis)
+            overlap &= np.abs(dx * along + dy * across) <= 0.5 * (length + other_length * cos + other_width * sin)
+            overlap &= np.abs(dy * along - dx * across) <= 0.5 * (width + other_length * sin + other_width * cos)
+        touches[touches] = overlap
     return touches
-
-
-def _select_poses(poses: Poses, mask: BoolArray) -> Poses:
-    x, y, heading = (np.broadcast_to(values, mask.shape)[mask] for values in poses)
-    return x, y, heading

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import statistics
 from dataclasses import dataclass
 from typing import Final
 
@@ -128,7 +129,7 @@ def _find_runs(mask: BoolArray, time: FloatArray) -> list[tuple[int, int]]:
 
 
 def _usual_step(time: FloatArray) -> float:
-    return float(np.median(np.diff(time))) if len(time) > 1 else 0.0
+    return statistics.median((time[1:] - time[:-1]).tolist()) if len(time) > 1 else 0.0
 
 
 def _find_danger(recording: Recording, ego: str, other: str, anchor: float, touches: bool) -> float | None:
