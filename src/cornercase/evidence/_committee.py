@@ -56,10 +56,10 @@ class CommitteeModel:
     at most 4,000 scenarios: half nearest to the threshold, and of the rest the rarer class first. The process of the
     scores uses all scenarios.
 
-    A subclass can make it cheaper: with fewer trees (`n_trees`, and `n_trees_per_fold` to find the weights), with
-    kernels of the features that are learned from at most `max_kernel_scenarios`, and (`may_be_alone`) with a single
-    classifier, if that predicts the outcomes better than all together: with less out-of-fold log loss. The others are
-    then not trained until the next `fit`.
+    A subclass can make it cheaper: with fewer trees (`n_trees`, and `n_trees_per_fold` out of fold), with kernels of
+    the features that are learned from at most `max_kernel_scenarios`, and (`may_be_alone`) with a single classifier, if
+    that predicts the outcomes better than all together: with less out-of-fold log loss. The others are then not trained
+    until the next `fit`.
 
     `columns` describes the features. `has_prediction` says whether the last coordinate of points is the prediction of
     another study (`SourceStudyModel`). `process` is the third classifier.
@@ -96,7 +96,7 @@ class CommitteeModel:
         self._weights = np.ones(3)
         self._learn_features(points, scores, features)
         self._kernels = self._feature_models.kernels
-        by_member = self._out_of_fold_by_member(self.n_trees_per_fold)
+        self._by_member = by_member = self._out_of_fold_by_member()
         self._weights = _fit_member_weights(by_member, self._critical)
         if self.may_be_alone:
             losses = _log_losses(np.column_stack([by_member, by_member @ self._weights]), self._critical)
@@ -164,12 +164,13 @@ class CommitteeModel:
         return np.asarray(self._weights @ np.stack(by_member)), classes
 
     def out_of_fold_probability(self) -> FloatArray:
-        """Probability of being critical of each known scenario, predicted from other scenarios, (n,).
+        """Probability of being critical of each scenario of the last `fit`, predicted from other scenarios, (n,).
 
-        Trees are trained without the scenario's fold; the process uses all other scenarios.
+        Trees are those that found the weights, which did not see the scenario's fold; the process uses all other
+        scenarios.
         """
         probability = np.empty(len(self._all_points))
-        probability[self._tree_scenarios] = self._out_of_fold_by_member(self.n_trees) @ self._weights
+        probability[self._tree_scenarios] = self._by_member @ self._weights
         # The trees were not trained on the rest, so no folds are needed there.
         rest = np.setdiff1d(np.arange(len(probability)), self._tree_scenarios)
         if len(rest):
@@ -177,15 +178,12 @@ class CommitteeModel:
             probability[rest] = self._combine_members(self._all_points[rest], mean / deviation)[0]
         return probability
 
-    def _out_of_fold_by_member(self, n_trees: int) -> FloatArray:
-        """Out-of-fold probabilities by each classifier, (n, 3), for the scenarios that trees use.
-
-        Tree classifiers have `n_trees` trees.
-        """
+    def _out_of_fold_by_member(self) -> FloatArray:
+        """Out-of-fold probabilities by each classifier, (n, 3), for the scenarios that trees use."""
         mean, deviation = self.process.leave_one_out(self._tree_scenarios)
         probability: FloatArray = np.stack([np.zeros(len(mean)), np.zeros(len(mean)), ndtr(-mean / deviation)], axis=1)
         for train, test in self._train_test_folds():
-            trees, forest = self._train_trees(train, n_trees)
+            trees, forest = self._train_trees(train, self.n_trees_per_fold)
             if trees is not None:
                 probability[test, 0] = _critical_probability_of_classes(trees, trees.predict_proba(self._columns[test]))
             if forest is not None:

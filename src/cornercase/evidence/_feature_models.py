@@ -14,10 +14,12 @@ from cornercase.evidence.gp._kernel import Floats, MaternKernel, evenly_spaced_i
 from cornercase.evidence.gp._posterior import ExactPosterior
 
 _MAX_NOISE: Final = 0.5
+_TOLERANCE: Final = 1e-4  # of the search for a kernel; a closer one predicts features no better
 _MIN_SPREAD: Final = 1e-9  # standard deviation up to which a feature is constant
 # Fraction of the variance that is added for points close to each other; `ExactPosterior` adds 1e-10 itself.
 _JITTER: Final = 1e-8 - 1e-10
 _ROUNDING: Final = 0.01  # greatest error of single precision, in standard deviations of a feature
+_CACHED_COVARIANCES: Final = 65536  # covariances that are computed at a time, so that they stay in the cache
 _MIN_BRANCH_SCENARIOS: Final = 8  # least number of scenarios of a branch that has its own processes
 
 FeatureKernels = Sequence[MaternKernel | None]
@@ -104,7 +106,7 @@ class FeatureModels:
             if kernels is None:
                 some = evenly_spaced_indices(len(points), max_kernel_scenarios or len(points))
                 kernels = [
-                    fit_kernel(points[some], scaled[some, j], _MAX_NOISE) if is_varied else None
+                    fit_kernel(points[some], scaled[some, j], _MAX_NOISE, tolerance=_TOLERANCE) if is_varied else None
                     for j, is_varied in enumerate((spread > _MIN_SPREAD).tolist())
                 ]
             self.kernels: FeatureKernels = list(kernels)
@@ -122,11 +124,14 @@ class FeatureModels:
     def predict_features(self, points: FloatArray) -> FloatArray:
         """Predict the standardized features at m points, without constant features, (m, g)."""
         predicted = np.empty((len(points), len(self._kernels_and_weights)))
+        step = max(_CACHED_COVARIANCES // max(len(self._points), 1), 1)
         with single_threaded_blas():
             for k, (kernel, weights) in enumerate(self._kernels_and_weights):
                 single = weights.dtype == np.float32
                 covariance = kernel.covariance_in_single_precision if single else kernel.covariance
-                predicted[:, k] = covariance(points, self._points) @ weights
+                for first in range(0, len(points), step):
+                    some = slice(first, first + step)
+                    predicted[some, k] = covariance(points[some], self._points) @ weights
         return predicted
 
 

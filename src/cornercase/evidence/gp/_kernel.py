@@ -15,6 +15,7 @@ from cornercase._common.typing import BoolArray, FloatArray, IntArray
 
 Floats = npt.NDArray[np.floating[Any]]
 
+_TOLERANCE = 1e7 * float(np.finfo(np.float64).eps)  # as in SciPy
 _ROOT5 = float(np.sqrt(5.0))
 # Number of values that length scales are learned from: per dimension, least and most. The cost grows with its cube.
 _VALUES_PER_DIMENSION, _MIN_VALUES, _MAX_VALUES = 40, 160, 400
@@ -75,12 +76,14 @@ def fit_kernel(
     max_noise: float,
     start: MaternKernel | None = None,
     is_rare: BoolArray | None = None,
+    tolerance: float = _TOLERANCE,
 ) -> MaternKernel:
     """Fit a kernel: maximize the marginal likelihood times a log-normal prior on the length scales.
 
     The prior bounds the length scales if there are few points; its median grows with the root of the number of
     dimensions. `values` have a mean of 0. At most 40 values per dimension are used, but at least 160 and at most 400.
-    Up to half of them are rare values.
+    Up to half of them are rare values. The search ends when a step raises the logarithm by less than `tolerance` times
+    its value.
 
     Source: C. E. Rasmussen, C. K. I. Williams, "Gaussian Processes for Machine Learning" (2006), equations 4.17, 5.8
     and 5.9. The prior is scaled as in C. Hvarfner, E. O. Hellsten, L. Nardi, "Vanilla Bayesian optimization performs
@@ -101,7 +104,7 @@ def fit_kernel(
         jac=True,
         method="L-BFGS-B",
         bounds=[(low, high) for low, high in bounds.tolist()],
-        options={"maxiter": 50},
+        options={"maxiter": 50, "ftol": tolerance},
     )
     *widths, signal, noise = np.exp(result.x).tolist()
     return MaternKernel(np.array(widths), signal, noise)
