@@ -158,9 +158,9 @@ def test_interrupted_it_goes_on_as_if_undisturbed(tmp_path):
 
 def test_a_larger_budget_adds_to_what_is_there(tmp_path):
     with opened(tmp_path / "e.db") as study:
-        first = estimator(study, budget=400, learn=160).run()
-        second = estimator(study, budget=1000, learn=160).run()
-    assert (first.scenarios, second.scenarios) == (400, 1000)
+        first = estimator(study, budget=200, learn=80).run()
+        second = estimator(study, budget=500, learn=80).run()
+    assert (first.scenarios, second.scenarios) == (200, 500)
     assert second.n_learning == first.n_learning
     assert second.critical.error < first.critical.error
 
@@ -199,21 +199,21 @@ def test_what_was_drawn_before_all_of_a_small_space_is_run_counts_once(tmp_path)
     assert smaller.critical == found.critical
 
 
-@pytest.mark.parametrize("after", [0, 550])
+@pytest.mark.parametrize("after", [0, 380])
 def test_while_not_all_of_a_small_space_was_run_there_are_bounds(tmp_path, after):
-    logical = replace(LOGICAL, space=ParameterSpace.from_ranges(["a=0:1:0.05", "b=0:1:0.02"]))
+    logical = replace(LOGICAL, space=ParameterSpace.from_ranges(["a=0:1:0.05", "b=0:1:0.04"]))
     with opened(tmp_path / "e.db", logical.space) as study:
-        some = estimator(study, Synthetic(interrupts=after), budget=2000, logical=logical).run()
+        some = estimator(study, Synthetic(interrupts=after), logical=logical).run()
         if after:
-            with pytest.raises(InputError, match=r"enumerates all 1071 scenarios.*set `budget` to 1071 or more"):
-                estimator(study, budget=900, logical=logical)
-        every = estimator(study, budget=2000, logical=logical).run()
+            with pytest.raises(InputError, match=r"enumerates all 546 scenarios.*set `budget` to 546 or more"):
+                estimator(study, budget=530, logical=logical)
+        every = estimator(study, logical=logical).run()
     assert some.interrupted
     assert some.critical.error is None
     assert some.critical.low < every.critical.value < some.critical.high
     assert "only" in some.critical.method
     assert every.critical.error == 0.0
-    assert every.scenarios == 1071
+    assert every.scenarios == 546
 
 
 def test_a_small_space_is_that_which_its_constraints_leave(tmp_path):

@@ -30,7 +30,7 @@ class Port:
     """
 
     def __init__(
-        self, pieces=1, odd=None, waits="waits", course=(-1, -5, 0, 0, -3), write=None, state=(-2,), number=0,
+        self, pieces=1000, odd=None, waits="waits", course=(-1, -5, 0, 0, -3), write=None, state=(-2,), number=0,
         project=Path(), write_testrun=None,
     ):  # fmt: skip
         self.project, self._write_testrun = project, write_testrun

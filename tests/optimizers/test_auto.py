@@ -43,8 +43,14 @@ def without_features(seed=0, space=CUBE):
     return Auto().start(space, seed, threshold=THRESHOLD, features=())
 
 
-def test_it_finds_the_critical_set_along_a_wall_where_the_score_jumps():
-    points = search(jumping(), 120, wall)
+@pytest.fixture(scope="module")
+def along_wall():
+    """Points of a search of 120 scenarios, which begins as a shorter one does."""
+    return search(jumping(), 120, wall)
+
+
+def test_it_finds_the_critical_set_along_a_wall_where_the_score_jumps(along_wall):
+    points = along_wall
     scores, features = wall(points)
     true = wall(EVERYWHERE)[0] <= THRESHOLD
     predicted = CommitteeModel(Criterion(THRESHOLD), FEATURES).fit(points, scores, features).predict(EVERYWHERE)[0]
@@ -53,14 +59,15 @@ def test_it_finds_the_critical_set_along_a_wall_where_the_score_jumps():
     assert f1(predicted > 0.5, true) > max(0.88, f1(other > 0.5, true) + 0.03)
 
 
-def test_where_the_score_is_smooth_the_process_alone_chooses():
+def test_where_the_score_is_smooth_the_process_alone_chooses(along_wall):
     optimizer = without_features()
     points = explored(optimizer, 120, function=two_regions)
     assert optimizer._committee.is_process_alone
     process = fit_boundary_process(points, two_regions(points), Criterion(THRESHOLD))
     assert f1(process.predict(EVERYWHERE)[0] < 0.0, two_regions(EVERYWHERE) <= THRESHOLD) > 0.96
     jumps = jumping()
-    search(jumps, 60, wall)
+    jumps.tell(along_wall[:60], *wall(along_wall[:60]))
+    np.testing.assert_array_equal(jumps.ask(10), along_wall[60:70])
     assert not jumps._committee.is_process_alone
 
 
@@ -72,21 +79,21 @@ def test_two_islands_are_both_found(seed):
     assert (critical[:, 0] > 0.5).sum() >= 3
 
 
-def test_at_least_a_fifth_of_the_points_depends_on_no_score():
-    points = search(jumping(), 100, wall)
+def test_at_least_a_fifth_of_the_points_depends_on_no_score(along_wall):
+    points = along_wall[:100]
     assert is_score_independent("auto", CUBE, 2, points).sum() >= 24 + 0.2 * 76 - 1
     more = search(Auto(filling=0.5).start(CUBE, 2, threshold=THRESHOLD, features=FEATURES), 60, wall)
     assert is_score_independent("auto", CUBE, 2, more).sum() >= 24 + 0.5 * 36 - 1
 
 
 def test_it_goes_on_as_if_it_had_never_stopped():
-    whole = search(jumping(5), 80, wall, batch=7)
+    whole = search(jumping(5), 63, wall, batch=7)
     for n_observed in (25, 47, 63):
         again = jumping(5)
         again.tell(whole[:n_observed], *wall(whole[:n_observed]))
         asked = jumping(5)
-        for first in range(0, n_observed, 4):
-            part = whole[first : min(first + 4, n_observed)]
+        for first in range(0, n_observed, 8):
+            part = whole[first : min(first + 8, n_observed)]
             asked.tell(part, *wall(part))
             asked.ask(2)
         np.testing.assert_array_equal(again.ask(6), asked.ask(6))

@@ -44,7 +44,7 @@ def study(tmp_path_factory) -> Path:
     cc.explore(
         continuous, path, ego="Ego", other="Pedestrian", metrics=["wttc"], optimizer="sobol", budget=64, critical=0.2
     )
-    cc.analyze(path)
+    cc.analyze(path, ["wttc"])
     cc.reduce(path, folder / "reduced", size=6)
     return path
 
@@ -146,15 +146,17 @@ def test_the_closest_approach_is_that_of_the_boxes(study):
 
 
 def test_a_rounding_that_keeps_the_outcome_is_preferred(study):
-    """Of all scenarios, none is said to end as before unless it does, and the nearest rounding is not left without need."""
+    """No scenario is said to end as before unless it does, and the nearest rounding is not left without need."""
     with StudyFile.open(study) as opened:
+        # Among these are some that end otherwise by the nearest rounding, and one by all.
+        rows = opened.finished_rows()[20:40]
         scenario = find_explored_scenario(opened)
         assert scenario is not None
         parameters = opened.space.parameters
         quantities = [find_settable_quantity(parameter, scenario) for parameter in parameters]
         kept = changed = otherwise = 0
         with RoundedRunner(opened, scenario) as runner:
-            for row in opened.finished_rows():
+            for row in rows:
                 original = stored_run(opened, row.id, row.values)
                 roundings = list(iter_roundings(parameters, quantities, row.values))
                 chosen = runner.choose_rounding(original, roundings, len(roundings))
@@ -170,17 +172,15 @@ def test_a_rounding_that_keeps_the_outcome_is_preferred(study):
                     assert chosen.values == roundings[0].values
                 else:
                     assert chosen.values != roundings[0].values
-    assert kept > 40
-    assert kept + otherwise + changed == 64
+    assert kept > 12
+    assert kept + otherwise + changed == 20
 
 
 def test_a_changed_outcome_is_said(study, tmp_path, monkeypatch):
     """With steps of 30 in each parameter hardly any scenario stays as it is."""
     coarse = SettableQuantity("m", 30.0)
     monkeypatch.setattr("cornercase.report.cards._test_cards.find_settable_quantity", lambda parameter, _: coarse)
-    with StudyFile.open(study) as opened:
-        ids = [row.id for row in opened.finished_rows()]
-    page = write_test_cards(study, tmp_path / "cards.html", ids=ids).read_text(encoding="utf-8")
+    page = write_test_cards(study, tmp_path / "cards.html", ids=range(1, 17)).read_text(encoding="utf-8")
     assert "ROUNDING CHANGES THE OUTCOME: in the study" in page
     assert 'class="verdict changed"' in page
 

@@ -6,6 +6,7 @@ import ast
 import json
 import shutil
 import subprocess
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -17,6 +18,7 @@ FOLDER = Path(__file__).parents[2] / "src" / "cornercase" / "simulators" / "carl
 FILES = sorted(FOLDER.glob("cornercase_*.py"))
 
 
+@cache
 def old_pythons():
     """Python 3.7 and 3.8, where they are installed."""
     named = [shutil.which(f"python{version}") for version in ("3.7", "3.8")]
