@@ -157,6 +157,13 @@ def test_it_goes_on_where_nearly_all_scenarios_fail(n_finished):
     assert len(optimizer.ask(10)) == 10
 
 
+def test_with_many_scenarios_a_proposal_does_not_wait_for_larger_models_of_the_features():
+    optimizer, points = jumping(), Sobol().start(CUBE, 5).ask(300)
+    optimizer.tell(points, *wall(points))
+    assert len(optimizer.ask(10)) == 10
+    assert max(len(model._points) for model in optimizer._committee._feature_models._models) <= 256
+
+
 def test_choices_steps_and_constraints_are_kept_to_the_last_scenario():
     parameters = [
         Parameter("a", 0, 4, 1.0),
