@@ -334,7 +334,8 @@ def test_the_command_proposes_again_and_says_whether_it_is_the_same(tmp_path):
         "Pedestrian",
     ]
     words += ["--space", str(paper_experiment_config("x-intersection").logical.path.with_suffix(".space.xosc"))]
-    words += ["--metric", "wttc", "--budget", "24", "--duration", "15", "--asynchronous", "-o", str(tmp_path / "s.db")]
+    words += ["--metric", "wttc", "--optimizer", "bayes", "--budget", "24", "--duration", "15", "--asynchronous"]
+    words += ["-o", str(tmp_path / "s.db")]
     assert CliRunner().invoke(app, words).exit_code == 0
     ended = CliRunner().invoke(app, [*words, "--check-proposals"])
     assert ended.exit_code == 0

@@ -48,7 +48,7 @@ def explored(path, simulator=None, **options):
     """Start or resume the exploration of a synthetic scenario with audits."""
     about = ExplorationConfig(LOGICAL, ego="Ego", other="B", seed=7, **AUDITED | options)
     objective = about.make_objective([METRICS.create("distance")])
-    optimizer = Listening(OPTIMIZERS.resolve(about.optimizer, "optimizer").start(SPACE, 7))
+    optimizer = Listening(about.search.start(SPACE, 7))
     with (
         StudyFile.open(path, readonly=False)
         if path.exists()

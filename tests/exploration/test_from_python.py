@@ -76,7 +76,7 @@ WRONG = {
     "metrics": (None, [3], [None], 3),
     "ranges": ([("a", 0, 1)], None, 3),
     "continuous": ("yes",),
-    "optimizer": (None, 3),
+    "optimizer": (3,),
     "critical": ("x", NAN),
     "weights": ({"distance": "x"}, [("distance", 1)], "distance", {3: 1.0}),
     "pareto": ("yes",),

@@ -77,7 +77,8 @@ def about(space, *metrics, **more):
 
 def explorer(study, simulator=None, optimizer="bayes", metrics=("distance",), budget=47, logical=LOGICAL, **options):
     metrics = [METRICS.create(name) if isinstance(name, str) else name for name in metrics]
-    configuration = ExplorationConfig(logical, ego="Ego", other="B", metrics=(), budget=budget, seed=7, **options)
+    options |= {"optimizer": "bayes", "metrics": (), "budget": budget, "seed": 7}
+    configuration = ExplorationConfig(logical, ego="Ego", other="B", **options)
     threshold = Criterion(1.0, metrics[0].lower_is_critical).oriented
     optimizer = OPTIMIZERS.create(optimizer).start(logical.space, 7, threshold=threshold, budget=budget)
     kind = AsynchronousExplorer if configuration.asynchronous else ScenarioExplorer

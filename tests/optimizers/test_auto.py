@@ -156,6 +156,21 @@ def test_it_asks_little_where_scenarios_fail(by):
     assert (points[:, 1] > 0.8).mean() < 0.2
 
 
+@pytest.mark.parametrize("n_finished", [3, 4])
+def test_it_goes_on_where_nearly_all_scenarios_fail(n_finished):
+    optimizer = without_features()
+    points = optimizer.ask(24)
+    optimizer.tell(points, np.where(np.arange(24) < n_finished, two_regions(points), np.nan))
+    assert len(optimizer.ask(10)) == 10
+
+
+def test_with_many_scenarios_a_proposal_does_not_wait_for_larger_models_of_the_features():
+    optimizer, points = jumping(), Sobol().start(CUBE, 5).ask(300)
+    optimizer.tell(points, *wall(points))
+    assert len(optimizer.ask(10)) == 10
+    assert max(len(model._points) for model in optimizer._committee._feature_models._models) <= 256
+
+
 def test_choices_steps_and_constraints_are_kept_to_the_last_scenario():
     parameters = [
         Parameter("a", 0, 4, 1.0),

@@ -330,8 +330,8 @@ class Study(PathLike[str]):
         ----------
         optimizer : Optimizer or str, optional
             Optimizer of `cornercase.optimizers`, or its name with options after a colon: ``"level-set:filling=0.1"``.
-            By default ``Bayes()``. If the study was searched before, this and all other settings default to those of
-            that search.
+            By default ``Auto()``, or ``Bayes()`` if no threshold or condition says what is critical. If the study was
+            searched before, this and all other settings default to those of that search.
         budget : int, optional
             Number of scenarios in total, including those that were run before; 200 by default.
         stop : StopRule or str, or sequence of these

@@ -195,7 +195,8 @@ class CommitteeModel:
         if smallest_class < 2:
             # A class of one scenario cannot be stratified.
             indices = np.arange(len(self._points))
-            parts = np.array_split(np.random.default_rng(self._seed).permutation(indices), _FOLDS)
+            order = np.random.default_rng(self._seed).permutation(indices)
+            parts = np.array_split(order, min(_FOLDS, len(indices)))
             return ((np.setdiff1d(indices, part), part) for part in parts)
         from sklearn.model_selection import StratifiedKFold
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Final, cast
 
@@ -72,16 +73,14 @@ class ExplorationConfig(ExplorationOptions):
         given = dict(vars(self))
         given["simulator"], common = split_common_options(self.simulator, given)
         given |= common
-        given["optimizer"] = OPTIMIZERS.resolve(self.optimizer, "optimizer")
+        if self.optimizer is not None:
+            given["optimizer"] = _check_optimizer(self.optimizer)
         given["metrics"] = tuple(map(name_or_own_metric, as_items(self.metrics)))
         criteria, max_seconds, patience = resolve_stop_rules(self.stop_when)
         given["stop_when"] = tuple(criteria)
         for name, limit in {"max_seconds": max_seconds, "patience": patience}.items():
             if limit is not None:
                 given[name] = limit if given[name] is None else min(given[name], limit)
-        OPTIMIZERS.check_own_name(given["optimizer"])
-        if not is_built_in(given["optimizer"]):
-            require_storable_options(given["optimizer"])
         if isinstance(self.critical, str) and _NUMBER_WITH_UNIT.match(self.critical) and self.metrics:
             raise self._threshold_with_unit()
         for name, option in CONFIG_OPTIONS.items():
@@ -168,7 +167,7 @@ class ExplorationConfig(ExplorationOptions):
             condition = self.make_condition()
             metrics = metrics if condition is None else [condition, *metrics]
         needs_threshold |= bool(self.stop_when) or self.max_repeats is not None
-        needs_threshold |= "threshold" in OPTIMIZERS.get_class(self.optimizer).requires
+        needs_threshold |= isinstance(self.optimizer, Optimizer) and "threshold" in self.optimizer.requires
         objective = Objective(metrics, self.weights, self.pareto)
         return objective.with_threshold(self.critical, is_required=needs_threshold)
 
@@ -191,20 +190,34 @@ class ExplorationConfig(ExplorationOptions):
         """The criteria of `stop_when`, which hold nothing else since they were checked."""
         return cast(tuple[StopCriterion, ...], self.stop_when)
 
+    @cached_property
+    def search(self) -> Optimizer:
+        """The optimizer that was named; otherwise `auto` if it is known what is critical, and `bayes` if not."""
+        if self.optimizer is not None:
+            return cast(Optimizer, self.optimizer)
+        return OPTIMIZERS.create("bayes" if self.make_objective().criterion is None else "auto")
+
+    def with_stored_optimizer(self, study: Path) -> ExplorationConfig:
+        """Return the configuration with the optimizer of the file `study`, if it exists and no other was named."""
+        if self.optimizer is None and study.exists():
+            # What else is wrong with the file is said when it is opened for writing.
+            with suppress(InputError), StudyFile.open(study) as opened:
+                if opened.meta.optimizer.partition(":")[0] in OPTIMIZERS:
+                    return replace(self, optimizer=opened.meta.optimizer)
+        return self
+
     def start_optimizer(self, objective: Objective) -> Optimizer:
         """Return a fresh optimizer that searches the space."""
         threshold = None if objective.criterion is None else objective.criterion.oriented
-        return cast(Optimizer, self.optimizer).start(
-            self.logical.space, self.seed, threshold=threshold, budget=self.budget
-        )
+        return self.search.start(self.logical.space, self.seed, threshold=threshold, budget=self.budget)
 
     def optimizer_text(self, stored: str) -> str:
         """Return the text of the optimizer; that of a study, `stored`, if it makes the same optimizer."""
-        text, name = str(self.optimizer), stored.partition(":")[0]
+        text, name = str(self.search), stored.partition(":")[0]
         # A study makes nothing that the user did not name.
         if text != stored and text.partition(":")[0] == name and name in OPTIMIZERS:
             with suppress(InputError):
-                return stored if OPTIMIZERS.create(stored) == self.optimizer else text
+                return stored if OPTIMIZERS.create(stored) == self.search else text
         return text
 
     def make_study_meta(
@@ -224,7 +237,7 @@ class ExplorationConfig(ExplorationOptions):
             for name, option in CONFIG_OPTIONS.items()
             if option.is_field_of_study
         }
-        fields_of_study["optimizer"] = str(self.optimizer)
+        fields_of_study["optimizer"] = str(self.search)
         return StudyMeta(
             scenario=stored_path(self.logical.path, study),
             fingerprint=self.logical.fingerprint,
@@ -246,6 +259,15 @@ class ExplorationConfig(ExplorationOptions):
             for name, option in CONFIG_OPTIONS.items()
             if option.stored == "settings" and getattr(self, name) != option.default
         }
+
+
+def _check_optimizer(optimizer: str | Optimizer) -> Optimizer:
+    """Return the optimizer that was named, as an object that a study can store."""
+    resolved = OPTIMIZERS.resolve(optimizer, "optimizer")
+    OPTIMIZERS.check_own_name(resolved)
+    if not is_built_in(resolved):
+        require_storable_options(resolved)
+    return resolved
 
 
 def config_from_study(

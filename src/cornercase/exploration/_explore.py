@@ -27,7 +27,7 @@ from cornercase.exploration._varied_file import open_logical_scenario
 from cornercase.exploration._verify_proposals import verify_proposals
 from cornercase.exploration._warm_start import WarmStart, read_warm_start
 from cornercase.metrics import Metric
-from cornercase.optimizers import OPTIMIZERS, Optimizer
+from cornercase.optimizers import Optimizer
 from cornercase.scenario import LogicalScenario
 from cornercase.simulators import Simulator
 from cornercase.simulators._create import create_simulator
@@ -114,6 +114,7 @@ def explore(
 
 
 def _verify_proposals_of_study(config: ExplorationConfig, study: Path) -> ExplorationResult:
+    config = config.with_stored_optimizer(study)
     config.require_entities()
     objective, optimizer = _make_objective_and_optimizer(config)
     warm_start = _load_warm_start(config, study, objective, optimizer)
@@ -127,8 +128,8 @@ def _verify_proposals_of_study(config: ExplorationConfig, study: Path) -> Explor
 def _make_objective_and_optimizer(config: ExplorationConfig) -> tuple[Objective, Optimizer]:
     """Create the objective, and a fresh optimizer for it."""
     # Before the objective: a search that needs a threshold would only be told that a front has none.
-    if config.pareto and not OPTIMIZERS.get_class(config.optimizer).multi_objective:
-        raise InputError(f"`pareto`: {config.optimizer} takes one score; use evolutionary, or optuna:sampler=nsga2.")
+    if config.pareto and not config.search.multi_objective:
+        raise InputError(f"`pareto`: {config.search} takes one score; use evolutionary, or optuna:sampler=nsga2.")
     objective = config.make_objective()
     return objective, config.start_optimizer(objective)
 
@@ -142,7 +143,7 @@ def _load_warm_start(
     check_output_differs_from_source(study, config.warm_start, "study")
     if not optimizer.supports_warm_start:
         raise InputError(
-            f"`warm_start`: {config.optimizer} learns nothing from a study; use auto, level-set or committee."
+            f"`warm_start`: {config.search} learns nothing from a study; use auto, level-set or committee."
         )
     return read_warm_start(Path(config.warm_start), config.logical.space, objective, config.ego, config.others)
 
@@ -159,7 +160,7 @@ def explore_config(
     check_bool("progress", progress)
     check_bool("retry_failed", retry_failed)
     try:
-        return _run_exploration(config, file, progress, retry_failed)
+        return _run_exploration(config.with_stored_optimizer(file), file, progress, retry_failed)
     except KeyboardInterrupt:
         # Interrupted before or after the part in which the explorer handles it itself.
         with suppress(InputError), StudyFile.open(file, readonly=True) as opened:

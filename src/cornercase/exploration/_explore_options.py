@@ -77,11 +77,13 @@ class ExplorationOptions(SimulationOptions, RunOptions):
     critical: float | None = _problem(
         None, "Score from which a scenario is critical; default: the metric's own.", metavar="X",
         stored=lambda meta: None if meta.condition else meta.critical)
-    optimizer: str | Optimizer = _search(
-        "bayes", "bayes, auto, level-set, committee, evolutionary, optuna, sobol, grid or random; options after a"
-        " colon, as in bayes:filling=0.", metavar="NAME", stored="optimizer",
+    optimizer: str | Optimizer | None = _search(
+        None, "auto, bayes, level-set, committee, evolutionary, optuna, sobol, grid or random; options after a colon,"
+        " as in bayes:filling=0. Default: auto, or bayes if no threshold or condition says what is critical.",
+        metavar="NAME", stored="optimizer",
         docs="Such as ``cornercase.optimizers.LevelSet(filling=0.1)``; in text, options follow a colon:"
-        ' ``"bayes:filling=0"``.')
+        ' ``"bayes:filling=0"``. By default ``auto``, or ``bayes`` if no threshold or condition says what is critical;'
+        " a study that was searched before keeps its own.")
     budget: int = _search(200, "Number of concrete scenarios to run in all.", metavar="N", minimum=1, stored="budget")
     seed: int = _search(0, "Same seed, same result.", metavar="N", minimum=0, stored="seed")
     batch: int = _search(10, "Number of concrete scenarios in a round.", metavar="N", minimum=1, stored="batch")
@@ -144,7 +146,7 @@ class ExploreOptions(SimulationKeywords, total=False):
     continuous: bool
     critical_if: str | None
     critical: float | None
-    optimizer: str | Optimizer
+    optimizer: str | Optimizer | None
     budget: int
     seed: int
     batch: int

@@ -157,7 +157,7 @@ class ScenarioExplorer:
             self._space,
             criterion,
             config.seed,
-            str(config.optimizer),
+            str(config.search),
             has_audits=config.audit > 0.0,
             source_model=None if criterion is None or not config.stop_when else source_study_model(study, criterion),
         )

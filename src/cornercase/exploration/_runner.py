@@ -16,7 +16,6 @@ from cornercase.exploration._condition_references import PendingCondition, Refer
 from cornercase.exploration._config import ExplorationConfig
 from cornercase.exploration._repeat_policy import RepeatedRun, RepeatPolicy
 from cornercase.exploration._repeatability import check_repeatability
-from cornercase.optimizers import OPTIMIZERS
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario
 from cornercase.scenario._seeds import seed_of_run
@@ -73,7 +72,7 @@ class ScenarioRunner:
         self._config, self._simulator, self._objective = config, simulator, objective
         self._study, self._clock = study, clock
         self._repeat_policy = RepeatPolicy(config, objective)
-        self._uses_features = "features" in OPTIMIZERS.get_class(config.optimizer).requires
+        self._uses_features = "features" in config.search.requires
         self.notices = RunNotices(simulator)
         # Number of scenarios that failed by an exception of a driver, the simulator or a metric, and the last error.
         self._n_exceptions, self._last_error = 0, SimulationError()

@@ -28,6 +28,7 @@ _CONDITIONING_STEP: Final = 5  # number of further scenarios after which the mod
 class _ProposalModel(CommitteeModel):
     """Committee that is trained in less than half of the time, or a single one of its classifiers."""
 
+    max_process_scenarios: ClassVar[int] = 256
     max_kernel_scenarios: ClassVar[int | None] = 120
     n_trees: ClassVar[int] = 32
     n_trees_per_fold: ClassVar[int] = 16
@@ -59,7 +60,8 @@ class Auto(Committee):
 
     Kernels and weights are learned again after every ten new scores, or after half as many more if that is more:
     from the first 20, 30, 45, 67, 100, 150 and so on; while all scenarios are critical, or none, after every ten. In
-    between, the classifiers are trained again after every five.
+    between, the classifiers are trained again after every five. Features are predicted from at most 256 scenarios, half
+    of them nearest to the threshold, so that a proposal takes no longer after many scenarios.
 
     Parameters
     ----------
