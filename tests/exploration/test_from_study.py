@@ -143,6 +143,11 @@ def test_what_cannot_be_begun_from_is_refused_and_leaves_nothing(tmp_path, other
         "was not searched for the condition 'collision'; use a study with the same `critical_if`": {
             "critical_if": "collision"
         },
+        "without a threshold or condition bayes searches, which learns nothing": {
+            "metrics": ("distance",),
+            "critical": None,
+            "optimizer": None,
+        },
         "there is no such study": {"warm_start": tmp_path / "missing.db"},
         "10 with different scores are needed": {"logical": LogicalScenario.read(X, SPACE, ["ego_start=80:90"])},
     }

@@ -51,8 +51,8 @@ class CommitteeModel:
     The prediction is a weighted mean of the three probabilities. The weights maximize the likelihood of the known
     outcomes for out-of-fold predictions.
 
-    `fit` learns everything; `condition_on` updates the data at less cost. With more than 2,000 scenarios the processes
-    of the features use 2,000: half of them nearest to the threshold, the others evenly spaced among the rest. Trees use
+    `fit` learns everything; `condition_on` updates the data at less cost. With more than 512 scenarios the processes
+    of the features use 512: half of them nearest to the threshold, the others evenly spaced among the rest. Trees use
     at most 4,000 scenarios: half nearest to the threshold, and of the rest the rarer class first. The process of the
     scores uses all scenarios.
 
@@ -69,7 +69,7 @@ class CommitteeModel:
     (1992).
     """
 
-    max_process_scenarios: ClassVar[int] = 2000
+    max_process_scenarios: ClassVar[int] = 512
     max_tree_scenarios: ClassVar[int] = 4000
     max_kernel_scenarios: ClassVar[int | None] = None
     n_trees: ClassVar[int] = 64

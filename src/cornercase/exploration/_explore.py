@@ -142,6 +142,11 @@ def _load_warm_start(
         return None
     check_output_differs_from_source(study, config.warm_start, "study")
     if not optimizer.supports_warm_start:
+        if config.optimizer is None:
+            raise InputError(
+                f"`warm_start`: without a threshold or condition {config.search} searches, which learns nothing from a"
+                " study; say what is critical by `critical`."
+            )
         raise InputError(
             f"`warm_start`: {config.search} learns nothing from a study; use auto, level-set or committee."
         )
