@@ -155,8 +155,13 @@ def test_a_page_says_what_predicts_whether_scenarios_are_critical(optimizer, jud
         tmp_path / "s.db", replace(about(SPACE, "distance"), optimizer=optimizer, critical=1.0)
     ) as study:
         explorer(study, optimizer=optimizer).run()
+        sizes = [missed.n_run for missed in read_report_data(study).missed_fractions]
+        n_run = len(study.finished_rows())
     page = write_report(tmp_path / "s.db", tmp_path / "r.html").read_text(encoding="utf-8")
     assert f"what is overlooked come from {judge} of " in page
+    # How the search went is shown whatever judges it.
+    assert sizes[-1] == n_run
+    assert sizes[-2] == pytest.approx(n_run / 2, abs=10)
 
 
 @pytest.mark.parametrize(

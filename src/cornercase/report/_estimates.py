@@ -23,8 +23,9 @@ from cornercase.study._criterion import Criterion
 if TYPE_CHECKING:
     import pandas as pd
 
-# The missed share is estimated for this range of scenario counts, at this many sizes.
-_MIN_SCENARIOS, _MAX_SCENARIOS, _MAX_SIZES = 10, 1000, 8
+# Number of sizes of the study at which the missed share is estimated, and the largest but the last one.
+_MIN_SCENARIOS: Final = 10
+_PROCESS_LIMITS, _COMMITTEE_LIMITS = (8, 1000), (3, 400)
 _CRITICAL: Final = "critical share of the space"
 _MISSED: Final = "missed share of the critical set"
 
@@ -223,20 +224,18 @@ class MissedFractionAfter:
 def estimate_missed_fractions(study: StudyFile, estimates: SpaceEstimates) -> Iterator[MissedFractionAfter]:
     """Yield the missed fraction of the critical set after some rounds, the last one included.
 
-    There are at most eight of them, with about doubling numbers of scenarios. Only the last is estimated if there are
-    more than 1,000 scenarios, or if the model is a committee of classifiers, which is slow to fit.
+    There are at most eight of them, with about doubling numbers of scenarios; at most three if the model is a committee
+    of classifiers, which is slower to fit. All but the last have at most 1,000 scenarios, or 400 with a committee.
     """
     critical, rows = estimates.critical, study.finished_rows()
     if critical is None or critical.critical_set is None:
         return
     rounds = np.array([row.round for row in rows])
     ends = (np.flatnonzero(np.diff(rounds)) + 1).tolist()
-    sizes: list[int] = []
-    if not uses_features(study.meta.optimizer):
-        targets = [len(rows) / 2.0**k for k in range(_MAX_SIZES - 1, 0, -1)]
-        nearest = {min(ends, key=lambda end: abs(end - size)) for size in targets if ends}
-        sizes = sorted(size for size in nearest if _MIN_SCENARIOS <= size <= _MAX_SCENARIOS)
-    for size in sizes:
+    max_sizes, max_scenarios = _COMMITTEE_LIMITS if uses_features(study.meta.optimizer) else _PROCESS_LIMITS
+    targets = [len(rows) / 2.0**k for k in range(max_sizes - 1, 0, -1)]
+    nearest = {min(ends, key=lambda end: abs(end - size)) for size in targets if ends}
+    for size in sorted(size for size in nearest if _MIN_SCENARIOS <= size <= max_scenarios):
         with skip_if_not_enough_data():
             critical_set = estimate_critical_set(study, last_id=rows[size - 1].id)
             yield MissedFractionAfter(size, critical_set.missed_fraction, critical_set.missed_interval_unavailable)
