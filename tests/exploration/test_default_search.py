@@ -7,8 +7,10 @@ from typing import Any
 import pytest
 
 from cornercase import Problem, Study, explore
+from cornercase._common.errors import InputError
 from cornercase.exploration._config import ExplorationConfig
 from cornercase.exploration._paper_examples import paper_experiment_config
+from cornercase.optimizers import Sobol
 from cornercase.report._commands import format_command
 from cornercase.study import StudyFile
 from helpers.synthetic_study import LOGICAL
@@ -54,3 +56,17 @@ def test_a_study_goes_on_with_the_search_that_it_began_with(tmp_path):
         assert later.meta.optimizer == "bayes:filling=0"
         assert [row.point.tolist() for row in later.rows()] == [row.point.tolist() for row in whole.rows()]
     assert explore(CROSSING, tmp_path / "later.db", **given, budget=26, check_proposals=True).reproducible
+
+
+class OwnSearch(Sobol):
+    """A search of the user's own."""
+
+    name = "own-search"
+
+
+def test_a_search_of_the_users_own_is_to_be_given_again(tmp_path):
+    given: dict[str, Any] = {**ROLES, "metrics": "ttc"}
+    explore(CROSSING, tmp_path / "own.db", **given, optimizer=OwnSearch(), budget=2)
+    with pytest.raises(InputError, match="which is none of cornercase"):
+        explore(CROSSING, tmp_path / "own.db", **given, budget=4)
+    explore(CROSSING, tmp_path / "own.db", **given, optimizer=OwnSearch(), budget=4)

@@ -83,7 +83,29 @@ def test_of_many_scenarios_its_trees_know_those_that_tell_most():
     assert wrong.mean() < 0.1
     # Further scenarios use the same kernels.
     some.condition_on(points[:300], scores[:300], features[:300])
-    assert some.out_of_fold_probability().shape == (300,)
+    wrong = (some.out_of_fold_probability() > 0.5) != (scores[:300] <= THRESHOLD)
+    assert wrong.shape == (300,)
+    assert wrong.mean() < 0.1
+
+
+def test_a_branch_that_the_processes_of_features_leave_out_is_learned_nevertheless():
+    class Limited(CommitteeModel):
+        max_process_scenarios = 20
+        n_trees = n_trees_per_fold = 8
+
+    points = Sobol().start(CUBE, 1).ask(120)
+    scores, features = wall(points)
+    branches = [k for k, feature in enumerate(FEATURES) if feature.branch]
+    model = Limited(Criterion(THRESHOLD), FEATURES)
+    # Of a rare branch, far from the threshold, no scenario is among those that the processes use.
+    used = model._select_process_scenarios(scores)
+    assert used is not None
+    rare = np.setdiff1d(np.argsort(np.abs(scores - THRESHOLD))[-40:], used)[:9]
+    features[:, branches] = -1.0
+    features[rare, branches[0]] = 1.0
+    model.fit(points, scores, features)
+    assert np.isfinite(model.out_of_fold_probability()).all()
+    assert ((model.predict(points)[0] > 0.5) == (scores <= THRESHOLD)).mean() > 0.9
 
 
 @pytest.mark.slow

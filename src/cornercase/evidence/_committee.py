@@ -86,6 +86,8 @@ class CommitteeModel:
         self._feature_models: PerBranchFeatureModels
         # Of trees on features, forest and process.
         self._weights: FloatArray
+        # Out-of-fold probabilities by each of them; None if unknown since `condition_on`.
+        self._by_member: FloatArray | None
 
     def fit(self, points: FloatArray, scores: FloatArray, features: FloatArray | None = None) -> Self:
         """Learn kernels and weights from points (n, e), scores (n,) and features (n, f).
@@ -96,18 +98,20 @@ class CommitteeModel:
         self._weights = np.ones(3)
         self._learn_features(points, scores, features)
         self._kernels = self._feature_models.kernels
-        self._by_member = by_member = self._out_of_fold_by_member()
+        by_member = self._out_of_fold_by_member()
         self._weights = _fit_member_weights(by_member, self._critical)
         if self.may_be_alone:
             losses = _log_losses(np.column_stack([by_member, by_member @ self._weights]), self._critical)
             if (best := int(np.argmin(losses))) < len(self._weights):
                 self._weights = np.eye(len(self._weights))[best]
+        self._by_member = by_member
         self._trees, self._forest = self._train_trees(np.arange(len(self._points)), self.n_trees)
         return self
 
     def condition_on(self, points: FloatArray, scores: FloatArray, features: FloatArray | None = None) -> Self:
         """Replace the known scenarios, but not the kernels and weights; arguments as for `fit`."""
         self.process.condition_on_scores(points, scores, self._criterion)
+        self._by_member = None
         if not self.is_process_alone:
             # Those of a branch that appeared since are learned each time, so that earlier calls do not matter.
             self._learn_features(points, scores, features, self._kernels)
@@ -164,11 +168,15 @@ class CommitteeModel:
         return np.asarray(self._weights @ np.stack(by_member)), classes
 
     def out_of_fold_probability(self) -> FloatArray:
-        """Probability of being critical of each scenario of the last `fit`, predicted from other scenarios, (n,).
+        """Probability of being critical of each known scenario, predicted from other scenarios, (n,).
 
-        Trees are those that found the weights, which did not see the scenario's fold; the process uses all other
-        scenarios.
+        Trees did not see the scenario's fold; the process uses all other scenarios.
         """
+        if self.is_process_alone:
+            mean, deviation = self.process.leave_one_out()
+            return np.asarray(ndtr(-mean / deviation))
+        if self._by_member is None:
+            self._by_member = self._out_of_fold_by_member()
         probability = np.empty(len(self._all_points))
         probability[self._tree_scenarios] = self._by_member @ self._weights
         # The trees were not trained on the rest, so no folds are needed there.

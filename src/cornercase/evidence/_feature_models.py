@@ -57,6 +57,9 @@ class PerBranchFeatureModels:
         for branch in present[counts >= _MIN_BRANCH_SCENARIOS].tolist() if len(present) > 1 else []:
             members = np.flatnonzero(branches == branch)
             known_members = None if subset is None else np.flatnonzero(np.isin(members, subset))
+            if known_members is not None and len(known_members) < _MIN_BRANCH_SCENARIOS:
+                # A rare branch, far from the threshold: the subset has too few of it to learn from.
+                known_members = None
             part = FeatureModels(
                 points[members], features[members], kernels.get(branch), known_members, max_kernel_scenarios
             )

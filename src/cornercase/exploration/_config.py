@@ -199,12 +199,13 @@ class ExplorationConfig(ExplorationOptions):
 
     def with_stored_optimizer(self, study: Path) -> ExplorationConfig:
         """Return the configuration with the optimizer of the file `study`, if it exists and no other was named."""
+        stored = None
         if self.optimizer is None and study.exists():
             # What else is wrong with the file is said when it is opened for writing.
             with suppress(InputError), StudyFile.open(study) as opened:
-                if opened.meta.optimizer.partition(":")[0] in OPTIMIZERS:
-                    return replace(self, optimizer=opened.meta.optimizer)
-        return self
+                stored = opened.meta.optimizer
+        # Imported recordings and runs of suites were not searched.
+        return self if stored in (None, "none") else replace(self, optimizer=known_optimizer(stored))
 
     def start_optimizer(self, objective: Objective) -> Optimizer:
         """Return a fresh optimizer that searches the space."""
