@@ -34,9 +34,10 @@ class PerBranchFeatureModels:
     process of their own.
 
     `branches` (n,) is the branch of each scenario. `kernels` maps each branch, and None for all scenarios, to the
-    kernels of `FeatureModels`; missing ones are learned, from at most `max_kernel_scenarios`. `leave_one_out`
-    (n, g) holds leave-one-out predictions: first from all scenarios, then from each branch. For scenarios outside of a
-    branch, it holds the ordinary prediction of the branch.
+    kernels of `FeatureModels`; missing ones are learned, from at most `max_kernel_scenarios`. `subset` are the indices
+    of the scenarios that the processes use, by default all; a branch with fewer than 8 of them uses all of its own.
+    `leave_one_out` (n, g) holds leave-one-out predictions: first from all scenarios, then from each branch. For
+    scenarios outside of a branch, it holds the ordinary prediction of the branch.
     """
 
     def __init__(

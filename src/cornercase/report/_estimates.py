@@ -23,8 +23,8 @@ from cornercase.study._criterion import Criterion
 if TYPE_CHECKING:
     import pandas as pd
 
-# Number of sizes of the study at which the missed share is estimated, and the largest but the last one.
-_MIN_SCENARIOS: Final = 10
+_MIN_SCENARIOS: Final = 10  # from which the missed share is estimated
+# At how many numbers of scenarios the missed share is estimated, and the largest of these but the last one.
 _PROCESS_LIMITS, _COMMITTEE_LIMITS = (8, 1000), (3, 400)
 _CRITICAL: Final = "critical share of the space"
 _MISSED: Final = "missed share of the critical set"

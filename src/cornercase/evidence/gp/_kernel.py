@@ -83,7 +83,7 @@ def fit_kernel(
     The prior bounds the length scales if there are few points; its median grows with the root of the number of
     dimensions. `values` have a mean of 0. At most 40 values per dimension are used, but at least 160 and at most 400.
     Up to half of them are rare values. The search ends when a step raises the logarithm by less than `tolerance` times
-    its value.
+    its value, or times 1 if that is more.
 
     Source: C. E. Rasmussen, C. K. I. Williams, "Gaussian Processes for Machine Learning" (2006), equations 4.17, 5.8
     and 5.9. The prior is scaled as in C. Hvarfner, E. O. Hellsten, L. Nardi, "Vanilla Bayesian optimization performs
