@@ -70,3 +70,9 @@ def test_a_search_of_the_users_own_is_to_be_given_again(tmp_path):
     with pytest.raises(InputError, match="which is none of cornercase"):
         explore(CROSSING, tmp_path / "own.db", **given, budget=4)
     explore(CROSSING, tmp_path / "own.db", **given, optimizer=OwnSearch(), budget=4)
+
+
+def test_other_metrics_than_those_of_the_study_are_named_though_its_search_needs_a_threshold(tmp_path):
+    explore(CROSSING, tmp_path / "s.db", **ROLES, metrics="ttc", optimizer="level-set", budget=2)
+    with pytest.raises(InputError, match=r"other metrics \(ttc in the study, distance given\)"):
+        explore(CROSSING, tmp_path / "s.db", **ROLES, metrics="distance", budget=4)

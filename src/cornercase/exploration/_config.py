@@ -201,9 +201,11 @@ class ExplorationConfig(ExplorationOptions):
         """Return the configuration with the optimizer of the file `study`, if it exists and no other was named."""
         stored = None
         if self.optimizer is None and study.exists():
-            # What else is wrong with the file is said when it is opened for writing.
+            # What else is wrong with the file is said when it is opened for writing. That includes other metrics, of
+            # which the optimizer might need a threshold that they do not have.
             with suppress(InputError), StudyFile.open(study) as opened:
-                stored = opened.meta.optimizer
+                if opened.meta.metrics == metric_fields(self.make_objective().metrics)["metrics"]:
+                    stored = opened.meta.optimizer
         # Imported recordings and runs of suites were not searched.
         return self if stored in (None, "none") else replace(self, optimizer=known_optimizer(stored))
 
