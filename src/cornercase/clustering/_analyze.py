@@ -255,7 +255,7 @@ def _read_inputs(
     metrics = {name: study.meta.create_metric(name) for name in strides if name in study.meta.metrics}
     aspects = {name: create_aspect(name) for name in strides if name not in metrics}
     series_by_aspect: dict[str, list[FloatArray]] = {name: [] for name in strides}
-    for count, (i, digest) in enumerate(study.iter_digests(), 1):
+    for count, (i, digest) in enumerate(study.iter_digests(("series", "courses")), 1):
         outcomes.append(digest.outcomes[main_index])
         traits.append(digest.features[main_index])
         recording = None

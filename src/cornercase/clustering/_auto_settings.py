@@ -9,8 +9,8 @@ from typing import Final, Literal, NamedTuple
 
 import numpy as np
 from scipy.spatial.distance import pdist, squareform
-from threadpoolctl import threadpool_limits
 
+from cornercase._common.numba.blas import single_threaded_blas
 from cornercase._common.progress import progress_step
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.clustering._clustering import NOISE_LABEL, Candidate, Clustering, ClusteringMethod
@@ -71,7 +71,7 @@ def search_settings(
     widths = (gamma,) if gamma != "auto" else GAMMAS if searching and has_structure else (SINGLE_CLUSTER_GAMMA,)
     # The last digits would depend on the number of BLAS threads.
     with (
-        threadpool_limits(limits=1),
+        single_threaded_blas(),
         progress_step(len(spaces) * len(widths), "clustering", "settings at most") as update_progress,
     ):
         for k, (dimensions, neighbours) in enumerate(spaces):

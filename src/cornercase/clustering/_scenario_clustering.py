@@ -9,9 +9,9 @@ from typing import Any, Final, Literal, Self, get_args
 import numpy as np
 import numpy.typing as npt
 from sklearn.base import BaseEstimator, ClusterMixin
-from threadpoolctl import threadpool_limits
 
 from cornercase._common.errors import InputError, suggest_name
+from cornercase._common.numba.blas import single_threaded_blas
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.clustering._auto_settings import MAX_SCORED, canonical_order, search_settings
 from cornercase.clustering._clustering import Clustering, ClusteringMethod
@@ -171,7 +171,7 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
             method=self.method,
         )
         self._scale = self._fitted_clustering.scale or 1.0
-        with threadpool_limits(limits=1):
+        with single_threaded_blas():
             self._space = KernelPca(self._fitted_clustering.gamma, self._fitted_clustering.embedding.shape[1]).fit(
                 within / self._scale
             )
@@ -232,7 +232,7 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
             )
         if not np.isfinite(matrix).all() or (matrix < 0.0).any():
             raise InputError("A distance is negative or not finite; give finite distances of at least 0.")
-        with threadpool_limits(limits=1):
+        with single_threaded_blas():
             return self._space.transform(matrix[:, self._kernel_rows] / self._scale)
 
     def predict(self, distances: npt.ArrayLike) -> IntArray:
@@ -273,7 +273,7 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
         float
             As `Clustering.error`.
         """
-        with threadpool_limits(limits=1):
+        with single_threaded_blas():
             return self._space.approximation_error(
                 distances[:, self._kernel_rows] / self._scale,
                 distances_between_new / self._scale,

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
+from cornercase._common.numba.blas import single_threaded_blas
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.clustering._auto_settings import canonical_order
 from cornercase.clustering._clustering import NOISE_LABEL, Candidate
@@ -66,7 +66,7 @@ class Observed:
     def from_study(cls, study: StudyFile) -> Observed:
         """Read what happened in the scenarios that ran."""
         other = study.meta.others.index(study.primary_other())
-        texts = {scenario: digest.outcomes[other].text for scenario, digest in study.iter_digests()}
+        texts = {scenario: digest.outcomes[other].text for scenario, digest in study.iter_digests(())}
         names = sorted(set(texts.values()))
         outcome = np.array([names.index(text) for text in texts.values()], dtype=np.int64)
         scores = {name: study.scores(name) for name in study.meta.metrics}
@@ -105,7 +105,7 @@ def map_settings(
     labels = np.empty((len(neighbours), len(GAMMAS), len(EPS), len(rows)), dtype=np.int64)
     scores: dict[str, FloatArray] = {name: np.full(labels.shape[:3], math.nan) for name in cells.score_names}
     embeddings = np.empty((len(GAMMAS), len(rows), N_COMPONENTS))
-    with threadpool_limits(limits=1):
+    with single_threaded_blas():
         for g, gamma in enumerate(GAMMAS):
             embedding = KernelPca(gamma, N_COMPONENTS).fit(scaled).embedding
             embeddings[g, order] = embedding

@@ -6,8 +6,8 @@ from typing import Final
 
 import numpy as np
 from scipy.spatial import cKDTree
-from threadpoolctl import threadpool_limits
 
+from cornercase._common.numba.blas import single_threaded_blas
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 
 MIN_CONVEXITY: Final = 0.8
@@ -65,7 +65,7 @@ def split_into_convex_parts(points: FloatArray, is_member: BoolArray) -> list[In
     from sklearn.cluster import KMeans
 
     for count in range(2, min(_MAX_PARTS, len(indices)) + 1):
-        with threadpool_limits(limits=1):
+        with single_threaded_blas():
             labels = KMeans(count, n_init=10, random_state=0).fit_predict(points[indices])
         parts = [indices[labels == k] for k in range(count)]
         if all(_convexity_of_part(points, is_member, part) >= MIN_CONVEXITY for part in parts):

@@ -13,7 +13,7 @@ from cornercase.metrics._outcome import Impact
 from cornercase.study import StudyFile
 
 if TYPE_CHECKING:
-    from cornercase.metrics._timeline import CollisionReply
+    from cornercase.metrics._timeline import CollisionReply, EncounterEvents
 
 
 @dataclass(frozen=True)
@@ -41,6 +41,8 @@ class ReplyCounts:
         Of those without braking, how many the careful driver of UN Regulation No. 157 would have avoided.
     n_avoided_by_waiting : int
         Of those in which it drives on, how many waiting would have avoided.
+    events : mapping of int to EncounterEvents
+        What happened when, by scenario that was examined.
     """
 
     n_collisions: int
@@ -54,6 +56,7 @@ class ReplyCounts:
     n_avoided_earlier: Mapping[float, int] = field(default_factory=dict)
     n_avoided_by_full_braking: int = 0
     n_avoided_by_waiting: int = 0
+    events: Mapping[int, EncounterEvents] = field(default_factory=dict, repr=False)
 
     @property
     def n_with_braking(self) -> int:
@@ -82,15 +85,16 @@ def count_replies(
     ids = list(first_hits)
     if len(ids) > max_measured:
         ids = [ids[k] for k in np.linspace(0, len(ids) - 1, max_measured).round().astype(int)]
-    replies = [
-        find_reply(study.recording(scenario), study.meta.ego, first_hits[scenario].entity, first_hits[scenario].time)
-        for scenario in ids
-    ]
-    known_replies = [reply for reply in replies if reply is not None]
+    replies = {
+        scenario: find_reply(study.recording(scenario), study.meta.ego, hit.entity, hit.time)
+        for scenario, hit in ((scenario, first_hits[scenario]) for scenario in ids)
+    }
+    known_replies = {scenario: reply for scenario, reply in replies.items() if reply is not None}
     return _count(len(first_hits), known_replies, EARLIER) if known_replies else None
 
 
-def _count(n_collisions: int, replies: Sequence[CollisionReply], earlier: Sequence[float]) -> ReplyCounts:
+def _count(n_collisions: int, replies_by_id: Mapping[int, CollisionReply], earlier: Sequence[float]) -> ReplyCounts:
+    replies = replies_by_id.values()
     kinds = [reply.reply for reply in replies]
     reactions = [reply.reaction for reply in replies if reply.reaction is not None]
     moved = [reply.avoided_by for reply in replies if reply.avoided_by is not None]
@@ -108,4 +112,5 @@ def _count(n_collisions: int, replies: Sequence[CollisionReply], earlier: Sequen
         else {},
         n_avoided_by_full_braking=sum(reply.avoided is True for reply in replies if reply.reply == "none"),
         n_avoided_by_waiting=sum(reply.avoided is True for reply in replies if reply.reply == "drives on"),
+        events={scenario: reply.events for scenario, reply in replies_by_id.items()},
     )

@@ -3,51 +3,59 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from cornercase.metrics._outcome import Impact
 from cornercase.recordings import Recording
 from cornercase.study import StudyFile
+
+if TYPE_CHECKING:
+    from cornercase.metrics._timeline import EncounterEvents
 
 MAX_WITH_EVENTS: Final = 1000
 """Largest number of recordings of a page with events: finding them takes some ms each."""
 
 
 def find_events_of_scenarios(
-    study: StudyFile, ids: Iterable[int], impacts: Mapping[int, Sequence[Impact]]
+    study: StudyFile,
+    ids: Iterable[int],
+    impacts: Mapping[int, Sequence[Impact]],
+    known_events: Mapping[int, EncounterEvents],
 ) -> dict[str, dict[str, Any]]:
     """Find the events of scenarios that ran, by id; of the first 1000 if there are more.
 
-    `impacts` are those of each scenario that ran.
+    `impacts` are those of each scenario that ran. `known_events` are those of some collisions, which were found before.
     """
-    return {
-        str(scenario): find_events_of_scenario(study, scenario, impacts=impacts[scenario])
-        for scenario in list(ids)[:MAX_WITH_EVENTS]
-    }
+    payload = {}
+    for scenario in list(ids)[:MAX_WITH_EVENTS]:
+        impact = _first_impact(impacts[scenario], study.meta.others)
+        events = known_events.get(scenario) or _find_events(study, scenario, study.recording(scenario), impact)
+        payload[str(scenario)] = _events_payload(study, events, impact)
+    return payload
 
 
-def find_events_of_scenario(
-    study: StudyFile, scenario: int, recording: Recording | None = None, impacts: Sequence[Impact] | None = None
-) -> dict[str, Any]:
+def find_events_of_scenario(study: StudyFile, scenario: int, recording: Recording | None = None) -> dict[str, Any]:
     """Find the events of a scenario that ran, with the entity that counts.
 
     That is the one that the ego collides with first; else the one that the score by the study's first metric is
-    measured against. `recording` and `impacts` are those of the scenario, by default read from the study.
+    measured against. `recording` is that of the scenario, by default read from the study.
     """
+    # Impacts are the same for each other entity.
+    impact = _first_impact(study.digest(scenario).outcomes[0].impacts, study.meta.others)
+    recording = study.recording(scenario) if recording is None else recording
+    return _events_payload(study, _find_events(study, scenario, recording, impact), impact)
+
+
+def _find_events(study: StudyFile, scenario: int, recording: Recording, impact: Impact | None) -> EncounterEvents:
     from cornercase.metrics._timeline import find_events
 
-    meta = study.meta
-    recording = study.recording(scenario) if recording is None else recording
-    if impacts is None:
-        # They are the same for each other entity.
-        impacts = study.digest(scenario).outcomes[0].impacts
-    impact = _first_impact(impacts, meta.others)
-    if impact is None:
-        sources = study.scenario_score_sources(scenario)
-        other = sources.get(meta.metrics[0]) or meta.others[0]
-        events = find_events(recording, meta.ego, other)
-    else:
-        events = find_events(recording, meta.ego, impact.entity, impact.time)
+    if impact is not None:
+        return find_events(recording, study.meta.ego, impact.entity, impact.time)
+    other = study.scenario_score_sources(scenario).get(study.meta.metrics[0]) or study.meta.others[0]
+    return find_events(recording, study.meta.ego, other)
+
+
+def _events_payload(study: StudyFile, events: EncounterEvents, impact: Impact | None) -> dict[str, Any]:
     times = {
         "sees": events.sees,
         "foresees": events.foresees,
@@ -61,7 +69,7 @@ def find_events_of_scenario(
     if "closest" in payload:
         payload["gap"] = round(events.gap, 3)
     if impact is not None and impact.fault is not None:
-        payload["fault"] = impact.fault.describe(meta.ego, impact.entity)
+        payload["fault"] = impact.fault.describe(study.meta.ego, impact.entity)
         payload["why"] = "; ".join(impact.fault.reasons)
     return payload
 

@@ -143,7 +143,9 @@ def write_report(
         with show_bars(progress), progress_step(len(opened.finished_rows()), "reading", "recordings") as tell:
             data = read_report_data(opened, figures=folder is not False, memory=limit, on_read=tell)
         recordings = encode_important_recordings(opened, data)
-        events = find_events_of_scenarios(opened, recordings, data.impacts)
+        replies = data.summary.replies
+        known_events = {} if replies is None else replies.events
+        events = find_events_of_scenarios(opened, recordings, data.impacts, known_events)
         sketch, missing = find_road_outline(opened, data.region, scenario, data.rows[0].values)
         if is_missing_map(missing):
             issue_notice_warning(missing.removesuffix("."))

@@ -26,7 +26,7 @@ from cornercase.report._summary import Summary, entities_hit_by_ego, summarize_w
 from cornercase.roads._outline import Region
 from cornercase.scenario import Parameter
 from cornercase.study import ScenarioRecord, StudyFile
-from cornercase.study._digest import COURSE_POINTS
+from cornercase.study._digest import COURSE_POINTS, DigestPart
 from cornercase.study._scenario_file import find_explored_scenario
 from cornercase.suite import Verdict
 from cornercase.suite._judge import judge_study, measure_margins
@@ -134,7 +134,8 @@ def read_report_data(
     impacts: dict[int, tuple[Impact, ...]] = {}
     approaches: dict[int, NearMiss] = {}
     region: Region | None = None
-    for count, (scenario, digest) in enumerate(study.iter_digests()):
+    parts: tuple[DigestPart, ...] = ("lines",) if charts else ()
+    for count, (scenario, digest) in enumerate(study.iter_digests(parts)):
         if not count and memory is not None:
             _check_memory(memory, len(rows), len(metrics), digest.n_instants if figures else 0, on_read is not None)
         time_spans[scenario] = (digest.begin, digest.end)

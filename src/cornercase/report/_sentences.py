@@ -29,5 +29,5 @@ def describe_selected_dangers(study: StudyFile, ids: Sequence[int]) -> str:
     n_critical = (
         None if study.criterion is None else sum(bool(critical) for row, critical in is_critical if row.id in selected)
     )
-    n_colliding = sum(bool(impacts) for scenario, impacts in study.impacts().items() if scenario in selected)
+    n_colliding = sum(map(bool, study.impacts(selected).values()))
     return describe_dangers(len(selected), n_critical, n_colliding, study.meta.ego)

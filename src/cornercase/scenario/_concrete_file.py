@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterator, Mapping
+from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -64,8 +65,7 @@ def build_concrete_file(
 ) -> ConcreteFile:
     """Build the content that `write_concrete_file` writes, but write nothing; `target` is for messages."""
     scenario.require_declared(list(values))
-    tree = etree.ElementTree(etree.fromstring(etree.tostring(scenario.root)))
-    root = tree.getroot()
+    root = deepcopy(scenario.root)
     header = root.find("FileHeader")
     if description is not None and header is not None:
         # The prefix declares the axes of the file.
@@ -84,7 +84,7 @@ def build_concrete_file(
     buffer = io.BytesIO()
     profiles = ((file, file.name, "Profiles") for file in scenario.profiles_files)
     companions = (*_relocate_road_file(scenario, root), *_relocate_catalogs(scenario, root), *profiles)
-    tree.write(buffer, encoding="utf-8", xml_declaration=True, pretty_print=True)
+    etree.ElementTree(root).write(buffer, encoding="utf-8", xml_declaration=True, pretty_print=True)
     return ConcreteFile(buffer.getvalue(), companions)
 
 

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any, Final, TypeVar, cast, get_args
+from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar, cast, get_args
 from zlib import crc32
 
 import numpy as np
@@ -45,7 +45,8 @@ _Array = TypeVar("_Array", FloatArray, IntArray)
 _EGO_COLUMNS: Final = slice(1, 3)
 _N_OTHER_COLUMNS: Final = 4
 _FIRST_OTHER_COLUMN: Final = 3
-_DIGEST_ARRAYS: Final = frozenset(("series", "courses", "lines", "rounded"))
+DigestPart = Literal["series", "courses", "lines", "rounded"]
+DIGEST_PARTS: Final[frozenset[DigestPart]] = frozenset(get_args(DigestPart))
 
 
 @dataclass(frozen=True, eq=False)
@@ -302,21 +303,33 @@ def _decode_fault(fault: Sequence[Any] | None = None) -> Fault | None:
     return Fault(who, cast(Conflict, str(conflict)), (side, other_side), contact_point, tuple(map(str, reasons)))
 
 
-def decode_digest(facts: Mapping[str, Any], packed: bytes, meta: StudyMeta) -> ScenarioDigest:
-    """Decode a digest, without its features; raise `ValueError` if it does not fit the study."""
-    arrays = unpack_arrays(packed, names=_DIGEST_ARRAYS)
+def decode_digest(
+    facts: Mapping[str, Any],
+    packed: bytes,
+    meta: StudyMeta,
+    parts: Collection[DigestPart] = DIGEST_PARTS,
+) -> ScenarioDigest:
+    """Decode a digest, without its features; raise `ValueError` if it does not fit the study.
+
+    Only the arrays in `parts` are decoded; the others are empty.
+    """
+    arrays = unpack_arrays(packed, names=parts)
     n_instants, stride, collisions = facts["instants"], facts["stride"], decode_collisions(facts)
     require_value(
         isinstance(n_instants, int) and isinstance(stride, int) and n_instants > 0 and stride > 0, "a digest's length"
     )
     count = len(range(0, n_instants - 1, stride)) + 1
     n_metrics = len(meta.metrics)
-    for name, shape in (
-        ("series", (count, _FIRST_OTHER_COLUMN + _N_OTHER_COLUMNS * len(meta.others))),
-        ("courses", (count, n_metrics)),
-        ("lines", (n_metrics, COURSE_POINTS)),
-    ):
-        require_value(arrays[name].shape == shape and arrays[name].dtype == np.float64, f"a digest's {name}")
+    shapes: dict[DigestPart, tuple[int, int]] = {
+        "series": (count, _FIRST_OTHER_COLUMN + _N_OTHER_COLUMNS * len(meta.others)),
+        "courses": (count, n_metrics),
+        "lines": (n_metrics, COURSE_POINTS),
+    }
+    for name, shape in shapes.items():
+        if name not in parts:
+            arrays[name] = np.empty((0, shape[1]))
+        else:
+            require_value(arrays[name].shape == shape and arrays[name].dtype == np.float64, f"a digest's {name}")
     endings = facts["endings"]
     require_value(len(endings) == len(meta.others), "a digest's endings")
     begin, end = map(float, facts["time"])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Container, Iterator, Sequence
 from contextlib import AbstractContextManager, closing, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Self
@@ -32,7 +32,9 @@ from cornercase.study._criticality_order import order_by_criticality
 from cornercase.study._damage import require_value, reraise_as_damage
 from cornercase.study._database import Database
 from cornercase.study._digest import (
+    DIGEST_PARTS,
     N_STRIDE_RECORDINGS,
+    DigestPart,
     ScenarioDigest,
     create_metrics,
     decode_collisions,
@@ -603,15 +605,20 @@ class StudyFile:
         """
         return {scenario: decode_collisions(facts) for scenario, facts in self._iter_facts()}
 
-    def impacts(self) -> dict[int, tuple[Impact, ...]]:
+    def impacts(self, ids: Container[int] | None = None) -> dict[int, tuple[Impact, ...]]:
         """Collisions of the ego in the scenarios that ran, with the relative speed at contact.
+
+        Parameters
+        ----------
+        ids : container of int, optional
+            Ids of the scenarios to look at, by default of all.
 
         Returns
         -------
         dict of int to tuple of Impact
             Collisions by scenario id, by time, in the order in which scenarios were proposed.
         """
-        return {scenario: decode_impacts(facts) for scenario, facts in self._iter_facts()}
+        return {scenario: decode_impacts(facts) for scenario, facts in self._iter_facts(ids)}
 
     def most_critical(self, metric: str | None = None) -> list[int]:
         """List the scenarios that ran from the most critical one.
@@ -644,15 +651,21 @@ class StudyFile:
         ids = list(impacts)
         return [ids[k] for k in order]
 
-    def _iter_facts(self) -> Iterator[tuple[int, dict[str, Any]]]:
-        """Yield id and decoded facts (a dict) of the digest of each recording."""
+    def _iter_facts(self, ids: Container[int] | None = None) -> Iterator[tuple[int, dict[str, Any]]]:
+        """Yield id and decoded facts (a dict) of the digest of each recording, or of those with the given ids."""
         self._database.require_all_rows("digests")
         with reraise_as_damage(self.path), closing(self._database.iter_rows("digests")) as rows:
             for scenario, facts in rows:
-                yield scenario, decode_facts(facts)
+                if ids is None or scenario in ids:
+                    yield scenario, decode_facts(facts)
 
-    def iter_digests(self) -> Iterator[tuple[int, ScenarioDigest]]:
+    def iter_digests(self, parts: Collection[DigestPart] = DIGEST_PARTS) -> Iterator[tuple[int, ScenarioDigest]]:
         """Yield, for each scenario that ran, what analysis and report need of its recording.
+
+        Parameters
+        ----------
+        parts : collection of {"series", "courses", "lines", "rounded"}
+            Parts of the digests to read, by default all; the others are empty.
 
         Yields
         ------
@@ -667,7 +680,7 @@ class StudyFile:
             for scenario, facts, packed in rows:
                 require_value(count < len(ids) and ids[count] == scenario, f"the digest of the scenario {scenario}")
                 count += 1
-                yield scenario, decode_digest(decode_facts(facts), packed, self.meta)
+                yield scenario, decode_digest(decode_facts(facts), packed, self.meta, parts)
             require_value(count == len(ids), "a scenario has no digest")
 
     def digest(self, scenario: int) -> ScenarioDigest:
