@@ -138,6 +138,12 @@ def analyze(
     ----------
     B. Schütt, S. Otten, E. Sax, "Clustering-based criticality analysis for testing of automated driving systems",
     2023, section "Scenario Clustering".
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> analyses = cc.analyze("study.db", ["interaction", "wttc"])  # doctest: +SKIP
+    >>> analyses["interaction"].labels  # doctest: +SKIP
     """
     model = ScenarioClustering(gamma, eps, min_samples, method="dbscan" if method is None else method)
     model.check_settings()

@@ -21,6 +21,14 @@ class Drac(Metric):
 
     Source: D. F. Cooper, N. Ferguson, "Traffic studies at T-junctions", Traffic Engineering and Control 17 (1976); also
     A. Guido et al. (2010).
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> recording = cc.simulate("examples/r157/cut_out.xosc")
+    >>> cc.measure(recording, "Ego", "Other", [cc.metrics.Drac()])
+    metric  score  unit  critical is
+    drac    5.179  m/s²  high
     """
 
     name = "drac"
@@ -50,6 +58,14 @@ class Mdrac(Metric):
     ----------
     reaction_time : float, default 1.0
         t_r in s.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> recording = cc.simulate("examples/r157/cut_out.xosc")
+    >>> cc.measure(recording, "Ego", "Other", [cc.metrics.Mdrac()])
+    metric  score  unit  critical is
+    mdrac   9.556  m/s²  high
     """
 
     name = "mdrac"
@@ -84,6 +100,14 @@ class Dst(Metric):
     ----------
     safety_time : float, default 1.0
         t_s in s.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> recording = cc.simulate("examples/r157/cut_out.xosc")
+    >>> cc.measure(recording, "Ego", "Other", [cc.metrics.Dst()])
+    metric  score  unit  critical is
+    dst     5.179  m/s²  high
     """
 
     name = "dst"
@@ -118,6 +142,14 @@ class LongitudinalAcceleration(Metric):
 
     Source: required longitudinal acceleration, as in Westhofen et al. 2023 and Jansson 2005, with the stop of the
     leader.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> recording = cc.simulate("examples/r157/cut_out.xosc")
+    >>> cc.measure(recording, "Ego", "Other", [cc.metrics.LongitudinalAcceleration()])
+    metric      score   unit  critical is
+    a-long-req  -5.179  m/s²  low
     """
 
     name = "a-long-req"
@@ -147,6 +179,14 @@ class Btn(Metric):
     ----------
     deceleration : float, default 8.0
         Greatest deceleration of the ego in m/s².
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> recording = cc.simulate("examples/r157/cut_out.xosc")
+    >>> cc.measure(recording, "Ego", "Other", [cc.metrics.Btn()])
+    metric  score   unit  critical is
+    btn     0.6474  1     high
     """
 
     name = "btn"
@@ -179,6 +219,16 @@ class StoppingDistance(Metric):
     ----------
     deceleration : float, default 8.0
         Greatest deceleration of the ego in m/s².
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> recording = cc.simulate(
+    ...     "examples/x_intersection/x_intersection.xosc", {"ego_start": 44.0}, drivers={"Ego": "aggressive"}
+    ... )
+    >>> cc.measure(recording, "Ego", "Pedestrian", [cc.metrics.StoppingDistance()])
+    metric  score  unit  critical is
+    msd     6.25   m     high
     """
 
     name = "msd"

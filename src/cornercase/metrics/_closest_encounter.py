@@ -29,6 +29,16 @@ class Dce(Metric):
         Measure between the centres of the boxes instead.
     severity : bool, default False
         Score collisions below 0, by how hard they are (`Metric.score_with_contact`).
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> recording = cc.simulate(
+    ...     "examples/x_intersection/x_intersection.xosc", {"ego_start": 44.0}, drivers={"Ego": "aggressive"}
+    ... )
+    >>> cc.measure(recording, "Ego", "Pedestrian", [cc.metrics.Dce()])
+    metric  score  unit  critical is
+    dce     5.412  m     low
     """
 
     name = "dce"
@@ -59,6 +69,14 @@ class Ttce(Metric):
     ----------
     centers : bool, default False
         Measure between the centres of the boxes instead.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> recording = cc.simulate("examples/r157/cut_out.xosc")
+    >>> cc.measure(recording, "Ego", "Other", [cc.metrics.Ttce()])
+    metric  score  unit  critical is
+    ttce    0      s     low
     """
 
     name = "ttce"

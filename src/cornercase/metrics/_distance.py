@@ -26,6 +26,16 @@ class Distance(Metric):
     ----------
     severity : bool, default False
         Score collisions below 0, by how hard they are (`Metric.score_with_contact`).
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> recording = cc.simulate(
+    ...     "examples/x_intersection/x_intersection.xosc", {"ego_start": 44.0}, drivers={"Ego": "aggressive"}
+    ... )
+    >>> cc.measure(recording, "Ego", "Pedestrian", [cc.metrics.Distance()])
+    metric    score  unit  critical is
+    distance  7.21   m     low
     """
 
     name = "distance"
@@ -56,6 +66,14 @@ class Clearance(Metric):
     ----------
     severity : bool, default False
         Score collisions below 0, by how hard they are (`Metric.score_with_contact`).
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> recording = cc.simulate("examples/r157/cut_out.xosc")
+    >>> cc.measure(recording, "Ego", "Other", [cc.metrics.Clearance()])
+    metric     score  unit  critical is
+    clearance  15.13  m     low
     """
 
     name = "clearance"

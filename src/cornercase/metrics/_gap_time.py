@@ -26,6 +26,16 @@ class GapTime(Metric):
     ----------
     ahead : float, default 100.0
         How far each track goes straight on after the recording, in m.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> recording = cc.simulate(
+    ...     "examples/x_intersection/x_intersection.xosc", {"ego_start": 44.0}, drivers={"Ego": "aggressive"}
+    ... )
+    >>> cc.measure(recording, "Ego", "Pedestrian", [cc.metrics.GapTime()])
+    metric    score  unit  critical is
+    gap-time  1.945  s     low
     """
 
     name = "gap-time"
@@ -56,6 +66,16 @@ class SquaredGapTime(GapTime):
     ----------
     ahead : float, default 100.0
         As in `GapTime`.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> recording = cc.simulate(
+    ...     "examples/x_intersection/x_intersection.xosc", {"ego_start": 44.0}, drivers={"Ego": "aggressive"}
+    ... )
+    >>> cc.measure(recording, "Ego", "Pedestrian", [cc.metrics.SquaredGapTime()])
+    metric  score  unit  critical is
+    spret   7.602  s²    low
     """
 
     name = "spret"

@@ -19,6 +19,14 @@ class Headway(Metric):
 
     Source: L. Westhofen et al., "Criticality metrics for automated driving: a review and suitability analysis of the
     state of the art", Archives of Computational Methods in Engineering 30 (2023), headway.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> recording = cc.simulate("examples/r157/cut_out.xosc")
+    >>> cc.measure(recording, "Ego", "Other", [cc.metrics.Headway()])
+    metric  score  unit  critical is
+    hw      15.13  m     low
     """
 
     name = "hw"
@@ -45,6 +53,14 @@ class Thw(Metric):
     ----------
     accelerating : bool, default False
         Let the ego keep its present acceleration until it stands. The value is inf if it stops before it gets there.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> recording = cc.simulate("examples/r157/cut_out.xosc")
+    >>> cc.measure(recording, "Ego", "Other", [cc.metrics.Thw()])
+    metric  score  unit  critical is
+    thw     2      s     low
     """
 
     name = "thw"
@@ -73,6 +89,14 @@ class Pttc(Metric):
 
     Source: H. Wakabayashi et al., "Traffic conflict analysis using vehicle tracking system/digital VCR and proposal of
     a new conflict indicator", Infrastructure Planning Review 20 (2003); the leader does not reverse by braking.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> recording = cc.simulate("examples/r157/cut_out.xosc")
+    >>> cc.measure(recording, "Ego", "Other", [cc.metrics.Pttc()])
+    metric  score  unit  critical is
+    pttc    2.021  s     low
     """
 
     name = "pttc"

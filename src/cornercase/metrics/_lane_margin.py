@@ -38,6 +38,16 @@ class LaneMargin(Metric):
     ------
     InputError
         `edge` is neither of them, or the file cannot be read.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> recording = cc.simulate(
+    ...     "examples/x_intersection/x_intersection.xosc", {"ego_start": 44.0}, drivers={"Ego": "aggressive"}
+    ... )
+    >>> cc.measure(recording, "Ego", "Pedestrian", [cc.metrics.LaneMargin()])
+    metric       score    unit  critical is
+    lane-margin  0.04756  m     low
     """
 
     name = "lane-margin"

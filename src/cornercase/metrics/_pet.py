@@ -40,6 +40,16 @@ class Pet(Metric):
         entity that has not left counts as leaving when its recording ends.
     severity : bool, default False
         Score collisions below 0, by how hard they are (`Metric.score_with_contact`).
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> recording = cc.simulate(
+    ...     "examples/x_intersection/x_intersection.xosc", {"ego_start": 44.0}, drivers={"Ego": "aggressive"}
+    ... )
+    >>> cc.measure(recording, "Ego", "Pedestrian", [cc.metrics.Pet()])
+    metric  score  unit  critical is
+    pet     2.558  s     low
     """
 
     name = "pet"
@@ -85,6 +95,16 @@ class EncroachmentTime(Metric):
     ----------
     area : tuple of five float, optional
         Rectangle to use as the conflict area, as in `Pet`.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> recording = cc.simulate(
+    ...     "examples/x_intersection/x_intersection.xosc", {"ego_start": 44.0}, drivers={"Ego": "aggressive"}
+    ... )
+    >>> cc.measure(recording, "Ego", "Pedestrian", [cc.metrics.EncroachmentTime()])
+    metric             score   unit  critical is
+    encroachment-time  0.5814  s     high
     """
 
     name = "encroachment-time"

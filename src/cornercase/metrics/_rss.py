@@ -59,6 +59,14 @@ class Rss(Metric):
     ------
     InputError
         An option is negative or not finite, or there is no such term.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> recording = cc.simulate("examples/r157/cut_out.xosc")
+    >>> cc.measure(recording, "Ego", "Other", [cc.metrics.Rss()])
+    metric  score   unit  critical is
+    rss     -60.23  m     low
     """
 
     name = "rss"

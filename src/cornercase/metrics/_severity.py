@@ -54,6 +54,14 @@ class DeltaV(Metric):
         Masses in kg by the entity's name or type; else those of `MASSES`, and 1,500 kg for other types.
     predicted : bool, default False
         Give the value of a collision with the present velocities, at each instant.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> recording = cc.simulate("examples/r157/cut_in.xosc")
+    >>> cc.measure(recording, "Ego", "Other", [cc.metrics.DeltaV()])
+    metric   score  unit  critical is
+    delta-v  4.945  m/s   high
     """
 
     name = "delta-v"
@@ -91,6 +99,14 @@ class ConflictSeverity(Metric):
         a in m/s².
     masses : mapping of str to float, optional
         As in `DeltaV`.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> recording = cc.simulate("examples/r157/cut_in.xosc")
+    >>> cc.measure(recording, "Ego", "Other", [cc.metrics.ConflictSeverity()])
+    metric             score  unit  critical is
+    conflict-severity  4.945  m/s   high
     """
 
     name = "conflict-severity"

@@ -22,6 +22,14 @@ class LateralAcceleration(Metric):
     not ahead of the ego, or one of the two does not exist. Least critical value (cap): 0; most critical value: 20 m/s².
 
     Source: required lateral acceleration, as in Westhofen et al. 2023 and Jansson 2005.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> recording = cc.simulate("examples/r157/cut_out.xosc")
+    >>> cc.measure(recording, "Ego", "Other", [cc.metrics.LateralAcceleration()])
+    metric     score   unit  critical is
+    a-lat-req  0.1468  m/s²  high
     """
 
     name = "a-lat-req"
@@ -50,6 +58,14 @@ class Stn(Metric):
     ----------
     acceleration : float, default 8.0
         Greatest lateral acceleration of the ego in m/s².
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> recording = cc.simulate("examples/r157/cut_out.xosc")
+    >>> cc.measure(recording, "Ego", "Other", [cc.metrics.Stn()])
+    metric  score    unit  critical is
+    stn     0.01835  1     high
     """
 
     name = "stn"

@@ -73,6 +73,14 @@ class Tet(_TimeBelowThresholdMetric):
     rule : {"linear", "samples"}, default "linear"
         Integration between the instants: the time to collision is interpolated linearly, or each instant counts for the
         step that follows it (the last one for as long as the one before).
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> recording = cc.simulate("examples/r157/cut_in.xosc")
+    >>> cc.measure(recording, "Ego", "Other", [cc.metrics.Tet()])
+    metric  score  unit  critical is
+    tet     60     s     high
     """
 
     name = "tet"
@@ -104,6 +112,14 @@ class Tit(_TimeBelowThresholdMetric):
         τ in s.
     rule : {"linear", "samples"}, default "linear"
         Integration between the instants, as in `Tet`.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> recording = cc.simulate("examples/r157/cut_in.xosc")
+    >>> cc.measure(recording, "Ego", "Other", [cc.metrics.Tit()])
+    metric  score  unit  critical is
+    tit     60     s²    high
     """
 
     name = "tit"

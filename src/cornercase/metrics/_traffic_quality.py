@@ -52,6 +52,16 @@ class TrafficQuality(Metric):
     ------
     InputError
         There is no such term.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> recording = cc.simulate(
+    ...     "examples/x_intersection/x_intersection.xosc", {"ego_start": 44.0}, drivers={"Ego": "aggressive"}
+    ... )
+    >>> cc.measure(recording, "Ego", "Pedestrian", [cc.metrics.TrafficQuality()])
+    metric           score  unit  critical is
+    traffic-quality  1.12   1     high
     """
 
     name = "traffic-quality"

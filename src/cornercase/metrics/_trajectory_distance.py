@@ -35,6 +35,16 @@ class TrajectoryDistance(Metric):
     ------
     InputError
         `ahead` is negative or not finite.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> recording = cc.simulate(
+    ...     "examples/x_intersection/x_intersection.xosc", {"ego_start": 44.0}, drivers={"Ego": "aggressive"}
+    ... )
+    >>> cc.measure(recording, "Ego", "Pedestrian", [cc.metrics.TrajectoryDistance()])
+    metric               score  unit  critical is
+    trajectory-distance  21.47  m     low
     """
 
     name = "trajectory-distance"

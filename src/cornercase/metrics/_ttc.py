@@ -34,6 +34,14 @@ class Ttc(Metric):
         reversing.
     severity : bool, default False
         Score collisions below 0, by how hard they are (`Metric.score_with_contact`).
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> recording = cc.simulate("examples/r157/cut_out.xosc")
+    >>> cc.measure(recording, "Ego", "Other", [cc.metrics.Ttc()])
+    metric  score  unit  critical is
+    ttc     2.021  s     low
     """
 
     name = "ttc"

@@ -49,6 +49,16 @@ class Wttc(Metric):
     ------
     InputError
         An acceleration is negative.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> recording = cc.simulate(
+    ...     "examples/x_intersection/x_intersection.xosc", {"ego_start": 44.0}, drivers={"Ego": "aggressive"}
+    ... )
+    >>> cc.measure(recording, "Ego", "Pedestrian", [cc.metrics.Wttc()])
+    metric  score  unit  critical is
+    wttc    1.009  s     low
     """
 
     name = "wttc"

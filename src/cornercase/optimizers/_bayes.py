@@ -50,6 +50,14 @@ class Bayes(CandidateOptimizer):
     ------
     InputError
         An option is out of range.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> search = cc.optimizers.Bayes(filling=0.0)
+    >>> str(search)
+    'bayes:filling=0.0'
+    >>> study.explore(search, budget=300)  # doctest: +SKIP
     """
 
     name = "bayes"

@@ -55,6 +55,14 @@ class Committee(WarmStartOptimizer):
     ------
     InputError
         An option is out of range.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> search = cc.optimizers.Committee(filling=0.3)
+    >>> str(search)
+    'committee:filling=0.3'
+    >>> study.explore(search, budget=200)  # doctest: +SKIP
     """
 
     name = "committee"

@@ -36,6 +36,14 @@ class Evolutionary(Optimizer):
     ------
     InputError
         The population is smaller than two.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> search = cc.optimizers.Evolutionary()
+    >>> str(search)
+    'evolutionary'
+    >>> study.explore(search, budget=400)  # doctest: +SKIP
     """
 
     name = "evolutionary"

@@ -20,6 +20,14 @@ class Grid(Optimizer):
 
     The grid has as many steps per parameter as fit into the budget, at least one. Nothing is random. `start` refuses a
     grid of more than a million points.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> search = cc.optimizers.Grid()
+    >>> str(search)
+    'grid'
+    >>> study.explore(search, budget=125)  # doctest: +SKIP
     """
 
     name = "grid"

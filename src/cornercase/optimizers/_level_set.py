@@ -69,6 +69,14 @@ class LevelSet(WarmStartOptimizer):
     ------
     InputError
         An option is out of range.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> search = cc.optimizers.LevelSet(filling=0.3)
+    >>> str(search)
+    'level-set:filling=0.3'
+    >>> study.explore(search, budget=200)  # doctest: +SKIP
     """
 
     name = "level-set"

@@ -39,6 +39,14 @@ class Optuna(Optimizer):
     ------
     InputError
         There is no such sampler. `start` raises it if Optuna is not installed.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> search = cc.optimizers.Optuna("nsga2")
+    >>> str(search)
+    'optuna:sampler=nsga2'
+    >>> study.explore(search, budget=200)  # doctest: +SKIP
     """
 
     name = "optuna"

@@ -99,6 +99,14 @@ class Sobol(SequenceOptimizer):
 
     Source: A. B. Owen, "Scrambling Sobol' and Niederreiter-Xing points", Journal of Complexity 14 (1998); implemented
     in scipy.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> search = cc.optimizers.Sobol()
+    >>> str(search)
+    'sobol'
+    >>> study.explore(search, budget=100)  # doctest: +SKIP
     """
 
     name = "sobol"
@@ -115,7 +123,16 @@ class Sobol(SequenceOptimizer):
 
 
 class Random(SequenceOptimizer):
-    """Independent points, uniform over the unit cube."""
+    """Independent points, uniform over the unit cube.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> search = cc.optimizers.Random()
+    >>> str(search)
+    'random'
+    >>> study.explore(search, budget=100)  # doctest: +SKIP
+    """
 
     name = "random"
 

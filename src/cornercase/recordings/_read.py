@@ -37,6 +37,14 @@ def read_recording(path: Path | str) -> Recording:
     InputError
         The file cannot be read, a column is missing, a field is not a number, an entity has two rows of the same time,
         or the required extra is not installed. The message names the line, if any.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> run = cc.simulate("examples/x_intersection/x_intersection.xosc", {"ego_start": 45.0})
+    >>> run.to_csv("run.csv")
+    >>> cc.read_recording("run.csv")
+    <Recording of Ego (car), Truck (truck), C (car), Pedestrian (pedestrian), 15.7 s in 315 instants, no collision>
     """
     path = validation.check_path("path", path)
     # Opening a pipe could block.

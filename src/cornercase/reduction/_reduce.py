@@ -156,6 +156,12 @@ def reduce(
     See Also
     --------
     cornercase.analyze : Finds the clusters.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> reduced = cc.reduce("study.db", "reduced", size=12)  # doctest: +SKIP
+    >>> reduced.ids  # doctest: +SKIP
     """
     if sum(option is not None for option in (size, share, cover, archetypes)) > 1:
         raise InputError("`size`, `share`, `cover`, `archetypes`: give only one of them.")

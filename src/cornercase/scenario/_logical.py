@@ -43,6 +43,16 @@ class ConcreteScenario:
     seed : int, default 0
         Seed of the random numbers in this run. Together with the parameter values it gives the random numbers of
         sensors and systems under test.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> scenario = cc.LogicalScenario.read(
+    ...     "examples/x_intersection/x_intersection.xosc", ranges=["ego_start=20:80"]
+    ... )
+    >>> concrete = scenario.concrete_scenario({"ego_start": 45.0})
+    >>> next(iter(cc.simulators.Builtin().run([concrete])))
+    <Recording of Ego (car), Truck (truck), C (car), Pedestrian (pedestrian), 15.7 s in 315 instants, no collision>
     """
 
     path: Path
@@ -130,6 +140,17 @@ class LogicalScenario:
         SHA-256 of the scenario file, its catalogs and its road file; also of all road files that the space names.
     file : ScenarioFile, optional
         The parsed file.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> scenario = cc.LogicalScenario.read(
+    ...     "examples/x_intersection/x_intersection.xosc", ranges=["ego_start=20:80"]
+    ... )
+    >>> scenario
+    <LogicalScenario 'examples/x_intersection/x_intersection.xosc': ego_start 20 to 80>
+    >>> scenario.concrete_scenario({"ego_start": 45.0}).values
+    {'ego_start': 45.0}
     """
 
     path: Path

@@ -52,6 +52,13 @@ class Parameter:
     InputError
         A bound or step is not finite, the step is not above 0, the bounds are not in order, or there are too many steps
         to count. The bounds may be equal only if there is a step.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> speed = cc.Parameter("speed", 5.0, 15.0, 0.5, unit="m/s")
+    >>> speed, speed.size
+    (<Parameter speed 5 to 15 by 0.5 m/s>, 21)
     """
 
     name: str

@@ -43,6 +43,16 @@ class ParameterSpace:
     ------
     InputError
         Two parameters have the same name.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import cornercase as cc
+    >>> space = cc.ParameterSpace.from_ranges(["speed=5:15", "gap=0:40:2"])
+    >>> space
+    <ParameterSpace: speed 5 to 15, gap 0 to 40 by 2>
+    >>> space.values(np.array([[0.5, 0.25]]))
+    [{'speed': 10.0, 'gap': 10.0}]
     """
 
     def __init__(self, parameters: Sequence[Parameter], declarations: Sequence[ParameterDeclaration] = ()) -> None:

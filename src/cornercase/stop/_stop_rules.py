@@ -183,6 +183,14 @@ def interval(bound: float) -> StopRule:
     ------
     InputError
         `bound` is no fraction.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> rule = cc.stop.interval(0.1)
+    >>> rule
+    interval(0.1)
+    >>> study.explore(stop=rule, budget=1000)  # doctest: +SKIP
     """
     return StopCriterion("interval", bound)
 
@@ -205,6 +213,14 @@ def overlooked(bound: float, size: float = MIN_REGION_FRACTION) -> StopRule:
     ------
     InputError
         `bound` or `size` is no fraction.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> rule = cc.stop.overlooked(0.05)
+    >>> rule
+    overlooked(0.05)
+    >>> study.explore(stop=rule, budget=1000)  # doctest: +SKIP
     """
     return StopCriterion("overlooked", bound, size)
 
@@ -227,6 +243,14 @@ def unvisited(bound: float, size: float = MIN_REGION_FRACTION) -> StopRule:
     ------
     InputError
         `bound` or `size` is no fraction.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> rule = cc.stop.unvisited(0.02)
+    >>> rule
+    unvisited(0.02)
+    >>> study.explore(stop=rule, budget=1000)  # doctest: +SKIP
     """
     return StopCriterion("unvisited", bound, size)
 
@@ -248,6 +272,14 @@ def audited_missed(bound: float) -> StopRule:
     ------
     InputError
         `bound` is no fraction.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> rule = cc.stop.audited_missed(0.1)
+    >>> rule
+    audited_missed(0.1)
+    >>> study.explore(stop=rule, budget=1000, audit=0.1)  # doctest: +SKIP
     """
     return StopCriterion("audited-missed", bound)
 
@@ -268,6 +300,14 @@ def seconds(limit: float) -> StopRule:
     ------
     InputError
         `limit` is negative or not finite.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> rule = cc.stop.seconds(600.0)
+    >>> rule
+    seconds(600)
+    >>> study.explore(stop=rule, budget=1000)  # doctest: +SKIP
     """
     return TimeLimit(check_float("seconds", limit, minimum=0.0))
 
@@ -288,6 +328,14 @@ def no_improvement(rounds: int) -> StopRule:
     ------
     InputError
         `rounds` is below 1.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> rule = cc.stop.no_improvement(20)
+    >>> rule
+    no_improvement(rounds=20)
+    >>> study.explore(stop=rule, budget=1000)  # doctest: +SKIP
     """
     return NoImprovement(check_int("rounds", rounds, 1))
 

@@ -140,6 +140,12 @@ def run_suite(
     -----
     NoticeWarning
         Something in the files has no effect in the simulator.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> result = cc.run_suite("reduced", "run.db", require=["no collision"], junit="run.xml")  # doctest: +SKIP
+    >>> result.table()  # doctest: +SKIP
     """
     given = check_options("run_suite", SUITE_OPTIONS, options)
     path = path_argument("study", study)

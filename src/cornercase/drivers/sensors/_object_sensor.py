@@ -291,6 +291,14 @@ class Radar(ObjectSensor):
         Cycles in a row until an object is known, and until it is forgotten.
     **options
         Options of `ObjectSensor`.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> from cornercase.drivers import DRIVERS, EquippedDriver, Radar
+    >>> driver = EquippedDriver(DRIVERS.create("normal"), sensors=[Radar(latency=0.2)])
+    >>> cc.simulate("examples/r157/deceleration.xosc", drivers={"Ego": driver})
+    <Recording of Ego (car), Other (car), 35.05 s in 702 instants, no collision>
     """
 
     name = "radar"
@@ -327,6 +335,14 @@ class Camera(ObjectSensor):
         Cycles in a row until an object is known, and until it is forgotten.
     **options
         Options of `ObjectSensor`.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> from cornercase.drivers import DRIVERS, EquippedDriver, Camera
+    >>> driver = EquippedDriver(DRIVERS.create("normal"), sensors=[Camera()])
+    >>> cc.simulate("examples/r157/deceleration.xosc", drivers={"Ego": driver})
+    <Recording of Ego (car), Other (car), 35.05 s in 702 instants, no collision>
     """
 
     name = "camera"
@@ -361,6 +377,14 @@ class Lidar(ObjectSensor):
         Cycles in a row until an object is known, and until it is forgotten.
     **options
         Options of `ObjectSensor`.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> from cornercase.drivers import DRIVERS, EquippedDriver, Lidar
+    >>> driver = EquippedDriver(DRIVERS.create("normal"), sensors=[Lidar()])
+    >>> cc.simulate("examples/r157/deceleration.xosc", drivers={"Ego": driver})
+    <Recording of Ego (car), Other (car), 35.05 s in 702 instants, no collision>
     """
 
     name = "lidar"

@@ -37,6 +37,14 @@ class SingleTrack(SteeredVehicle):
     ------
     InputError
         If an option is out of range.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> from cornercase.drivers import DRIVERS, EquippedDriver, SingleTrack
+    >>> driver = EquippedDriver(DRIVERS.create("normal"), vehicle=SingleTrack())
+    >>> cc.simulate("examples/r157/deceleration.xosc", drivers={"Ego": driver})
+    <Recording of Ego (car), Other (car), 35.05 s in 702 instants, no collision>
     """
 
     name = "single-track"

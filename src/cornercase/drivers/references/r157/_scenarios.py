@@ -85,6 +85,14 @@ def drive_cut_in(
     References
     ----------
     UN Regulation No. 157, Annex 4, Appendix 3.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from cornercase.drivers import drive_cut_in
+    >>> speeds, gaps = np.array([[20.0, 20.0], [15.0, 15.0]]), np.array([30.0, 5.0])
+    >>> drive_cut_in("cc-human", *speeds, gaps, np.array([1.0, 1.0])).crash
+    array([False,  True])
     """
     reference, n = REFERENCES[name], len(speed)
     rising, ramp_distance = _lateral_ramp(lateral_speed)
