@@ -129,6 +129,12 @@ class Carla(Simulator):
     ------
     InputError
         An option is out of range. `run` raises it if CARLA's client or ScenarioRunner is not found.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> simulator = cc.simulators.Carla(hosts="gpu-machine:2000")
+    >>> study = cc.Study.create("study.db", problem, simulator)  # doctest: +SKIP
     """
 
     name = "carla"

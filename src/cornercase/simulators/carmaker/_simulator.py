@@ -101,6 +101,12 @@ class CarMaker(Simulator):
     ------
     InputError
         An option is missing or out of range.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> simulator = cc.simulators.CarMaker(testrun="{scenario}", project="CM_Project")  # doctest: +SKIP
+    >>> study = cc.Study.create("study.db", problem, simulator)  # doctest: +SKIP
     """
 
     name = "carmaker"

@@ -69,6 +69,12 @@ class Esmini(Simulator):
     ------
     InputError
         An option is out of range. `run` raises it if the library is not found or cannot be used.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> simulator = cc.simulators.Esmini(drivers={"Ego": "normal"})
+    >>> study = cc.Study.create("study.db", problem, simulator)  # doctest: +SKIP
     """
 
     name = "esmini"

@@ -56,6 +56,12 @@ class Sumo(Simulator):
     ------
     InputError
         An option is out of range. `run` raises it if SUMO is not installed.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> simulator = cc.simulators.Sumo(drivers={"Ego": "normal"})
+    >>> study = cc.Study.create("study.db", problem, simulator)  # doctest: +SKIP
     """
 
     name = "sumo"
