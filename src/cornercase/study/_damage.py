@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import Any, Final, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, Final, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
 from cornercase._common.errors import InputError
 
@@ -54,10 +55,20 @@ def require_value(condition: bool, message: str) -> None:
 
 def dataclass_from_json(dataclass_type: type[T], values: Mapping[str, Any]) -> T:
     """Make a dataclass from values in JSON; `TypeError` if a value is missing, unknown or of another type."""
+    for name, allowed in _allowed_types(cast("Any", dataclass_type)).items():
+        if name in values and (isinstance(values[name], bool) or not isinstance(values[name], allowed)):
+            raise TypeError(f"{dataclass_type.__name__} has {str(values[name])[:60]!r} as its {name}")
+    return dataclass_type(**values)
+
+
+# An analysis is made of hundreds of dataclasses, and Python compiles their annotations at each look.
+@cache
+def _allowed_types(dataclass_type: type[Any]) -> dict[str, tuple[Any, ...]]:
+    """Types that the values of a dataclass may have, of those whose type is checked."""
+    allowed = {}
     for name, hint in get_type_hints(dataclass_type).items():
         # Nested types are not checked.
         types = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
-        allowed = tuple(_ALLOWED_TYPES[option] for option in types) if set(types) <= set(_ALLOWED_TYPES) else ()
-        if allowed and name in values and (isinstance(values[name], bool) or not isinstance(values[name], allowed)):
-            raise TypeError(f"{dataclass_type.__name__} has {str(values[name])[:60]!r} as its {name}")
-    return dataclass_type(**values)
+        if set(types) <= set(_ALLOWED_TYPES):
+            allowed[name] = tuple(_ALLOWED_TYPES[option] for option in types)
+    return allowed
