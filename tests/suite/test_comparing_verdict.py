@@ -115,7 +115,14 @@ CASES: dict[str, list[tuple[Any, Any, Any]]] = {
 }
 
 
-@pytest.mark.parametrize(("verdict", "case"), [(name, one) for name, each in CASES.items() for one in each])
+@pytest.mark.parametrize(
+    ("verdict", "case"),
+    [
+        pytest.param(name, one, marks=[pytest.mark.slow] if k else [])
+        for name, each in CASES.items()
+        for k, one in enumerate(each)
+    ],
+)
 def test_42_3_compare_gives_a_verdict_and_an_exit_code(tmp_path, verdict, case):
     change, worse, better = case
     old = written(tmp_path / "old.db", GAPS)
