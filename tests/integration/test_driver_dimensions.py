@@ -289,6 +289,7 @@ def test_sumo_says_that_it_drives_itself(tmp_path):
     assert "SUMO itself drives Ego as 'normal'" in ended.stderr
 
 
+@pytest.mark.slow
 def test_an_estimate_runs_new_scenarios_with_values(folder):
     ended = cornercase("estimate", "preset.db", "--budget", 100, "-o", "estimate.db", cwd=folder)
     assert ended.returncode == 0, ended.stderr
