@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from browser.test_linked import drag, pictures
+from conftest import at_night
 from cornercase.evidence._score_surrogate import fit_surrogate
 from cornercase.evidence.gp._process import encode_points
 from cornercase.metrics import METRICS
@@ -43,7 +44,7 @@ def grid_values(parameter):
     return np.linspace(parameter.low, parameter.high, 7).tolist()
 
 
-@pytest.mark.parametrize("name", sorted(SPACES))
+@pytest.mark.parametrize("name", at_night(sorted(SPACES), {"ranges"}))
 @pytest.mark.parametrize(("metric", "count"), [("wttc", 40), ("traffic-quality", 500)])
 def test_the_page_predicts_what_python_does(tab, reports, name, metric, count):
     space = SPACES[name]

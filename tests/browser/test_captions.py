@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import pytest
 
+from conftest import at_night
+
 LINES = """() => [...document.querySelectorAll(".view figcaption")].map((one) => {
   const lines = one.getBoundingClientRect().height / parseFloat(getComputedStyle(one).lineHeight);
   return [one.parentElement.id, Math.round(lines)];
 })"""
 
 
-@pytest.mark.parametrize("width", [400, 1280, 1600])
+@pytest.mark.parametrize("width", at_night([400, 1280, 1600], {1280, 1600}))
 @pytest.mark.parametrize("name", ["plain", "four", "failed"])
 def test_each_caption_is_a_line(tab, reports, name, width):
     tab.page.set_viewport_size({"width": width, "height": 900})

@@ -7,6 +7,7 @@ from axe_playwright_python.sync_playwright import Axe  # type: ignore[import-unt
 
 from conftest import at_night
 
+LOOKS = [("dark", 1280), ("light", 1280), ("light", 400)]
 BACKGROUND = "() => getComputedStyle(document.body).backgroundColor"
 
 
@@ -74,18 +75,19 @@ def test_a_phone_shows_all_without_scrolling_sideways(tab, reports, name):
     assert wide[0] <= wide[1] == 400, wide[2]
 
 
-def test_axe_finds_no_serious_violation(tab, reports):
+@pytest.mark.parametrize("looks", at_night(LOOKS, LOOKS[1:]))
+def test_axe_finds_no_serious_violation(tab, reports, looks):
     page = tab.open(f"{reports('plain')}#id=12&beside=3&kept=0")
     for one in page.locator("#details details").all():
         one.evaluate("(one) => { one.open = true; }")
-    for scheme, width in (("light", 1280), ("dark", 1280), ("light", 400)):
-        page.emulate_media(color_scheme=scheme)
-        page.set_viewport_size({"width": width, "height": 900})
-        views_on_the_screen(page, tab)
-        found = Axe().run(page).response["violations"]
-        serious = [one for one in found if one["impact"] in ("serious", "critical")]
-        told = [(one["id"], one["help"], [node["html"][:200] for node in one["nodes"][:4]]) for one in serious]
-        assert told == [], (scheme, width)
+    scheme, width = looks
+    page.emulate_media(color_scheme=scheme)
+    page.set_viewport_size({"width": width, "height": 900})
+    views_on_the_screen(page, tab)
+    found = Axe().run(page).response["violations"]
+    serious = [one for one in found if one["impact"] in ("serious", "critical")]
+    told = [(one["id"], one["help"], [node["html"][:200] for node in one["nodes"][:4]]) for one in serious]
+    assert told == []
 
 
 def test_all_is_there_in_print(tab, reports):

@@ -9,6 +9,7 @@ import pytest
 from axe_playwright_python.sync_playwright import Axe  # type: ignore[import-untyped]
 
 from browser.conftest import shared
+from conftest import at_night
 from cornercase.clustering import read_analysis
 from cornercase.clustering._settings_map import EPS, GAMMAS
 from cornercase.report import write_settings_page
@@ -103,20 +104,24 @@ def test_arrow_keys_take_the_next_setting(tab, plain):
     assert page.locator("#told").inner_text() == page.locator("#taken-title").inner_text()
 
 
-def test_settings_for_everyone(tab, plain):
+LOOKS = [("dark", 400), ("light", 400), ("light", 1280), ("dark", 1280)]
+
+
+@pytest.mark.parametrize("looks", at_night(LOOKS, LOOKS[1:]))
+def test_settings_for_everyone(tab, plain, looks):
     page = tab.open(plain[1].as_uri())
     cell(page, 1.0, 0.1).click()
-    for scheme, width in (("light", 1280), ("dark", 1280), ("light", 400), ("dark", 400)):
-        page.emulate_media(color_scheme=scheme)
-        page.set_viewport_size({"width": width, "height": 900})
-        tab.settle()
-        assert page.evaluate("() => document.documentElement.scrollWidth") <= width
-        for shown in page.locator("#shown option").all_inner_texts():
-            page.select_option("#shown", label=shown)
-            found = Axe().run(page).response["violations"]
-            serious = [one for one in found if one["impact"] in ("serious", "critical")]
-            told = [(one["id"], one["help"], [node["html"][:200] for node in one["nodes"][:4]]) for one in serious]
-            assert told == [], (scheme, width, shown)
+    scheme, width = looks
+    page.emulate_media(color_scheme=scheme)
+    page.set_viewport_size({"width": width, "height": 900})
+    tab.settle()
+    assert page.evaluate("() => document.documentElement.scrollWidth") <= width
+    for shown in page.locator("#shown option").all_inner_texts():
+        page.select_option("#shown", label=shown)
+        found = Axe().run(page).response["violations"]
+        serious = [one for one in found if one["impact"] in ("serious", "critical")]
+        told = [(one["id"], one["help"], [node["html"][:200] for node in one["nodes"][:4]]) for one in serious]
+        assert told == [], shown
 
 
 def test_names_are_text_and_the_page_is_the_same_again(tab, studies, tmp_path):
@@ -130,7 +135,7 @@ def test_names_are_text_and_the_page_is_the_same_again(tab, studies, tmp_path):
     assert write_settings_page(study, tmp_path / "other.html", ["wttc"]).read_bytes() == file.read_bytes()
 
 
-@pytest.mark.parametrize("name", ["failed", "four"])
+@pytest.mark.parametrize("name", at_night(["failed", "four"], {"four"}))
 def test_other_studies_have_it_too(tab, studies, tmp_path, name):
     by = ["distance"] if name == "failed" else ["wttc"]
     page = tab.open(write_settings_page(studies(name), tmp_path / "page.html", by).as_uri())

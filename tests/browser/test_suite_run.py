@@ -112,7 +112,7 @@ def test_no_verdict_is_cut_off(tab, mixed, width):
     assert page.evaluate(SHOWN)["selected"] == f"Scenario {number}"
 
 
-@pytest.mark.parametrize(("scheme", "width"), [("light", 1280), ("dark", 400)])
+@pytest.mark.parametrize(("scheme", "width"), [pytest.param("light", 1280, marks=pytest.mark.slow), ("dark", 400)])
 def test_axe_finds_no_serious_violation(tab, mixed, scheme, width):
     page = tab.open(mixed)
     page.emulate_media(color_scheme=scheme)

@@ -8,6 +8,7 @@ from dataclasses import replace
 import pytest
 from axe_playwright_python.sync_playwright import Axe  # type: ignore[import-untyped]
 
+from conftest import at_night
 from cornercase.report import write_test_cards
 from cornercase.report.cards._meeting import find_meeting
 
@@ -24,7 +25,9 @@ OUTSIDE = """() => [...document.querySelectorAll("svg text")].filter((text) => {
 }).map((text) => text.textContent)"""
 
 
-@pytest.mark.parametrize("name", ["plain", "hostile", "four", "failed", "pareto"])
+@pytest.mark.parametrize(
+    "name", at_night(["plain", "hostile", "four", "failed", "pareto"], {"plain", "four", "pareto"})
+)
 def test_each_card_prints_on_a_page(tab, studies, tmp_path, name):
     ids = None if name in ("plain", "hostile") else [1, 2, 3]
     page = write_test_cards(studies(name), tmp_path / "cards.html", ids=ids)
@@ -39,7 +42,9 @@ def test_each_card_prints_on_a_page(tab, studies, tmp_path, name):
     assert tab.page.title().startswith("cornercase: ")
 
 
-@pytest.mark.parametrize("full", ["", "parameters", "conditions", "verdict", "parameters, verdict"])
+@pytest.mark.parametrize(
+    "full", at_night(["", "parameters", "conditions", "verdict", "parameters, verdict"], {"", "parameters", "verdict"})
+)
 def test_a_card_that_is_full_is_still_a_page(tab, studies, tmp_path, monkeypatch, full):
     """Everything that a card may hold at once: as many rows as there may be, and long texts in each."""
     from cornercase.report.cards import _card, _start, _start_conditions

@@ -112,7 +112,14 @@ def test_it_fits_a_phone(tab, versions, tmp_path):
     assert page.evaluate("() => document.documentElement.scrollWidth") <= 380
 
 
-@pytest.mark.parametrize(("scheme", "width"), [("light", 1280), ("dark", 1280), ("light", 400)])
+@pytest.mark.parametrize(
+    ("scheme", "width"),
+    [
+        pytest.param("light", 1280, marks=pytest.mark.slow),
+        pytest.param("dark", 1280, marks=pytest.mark.slow),
+        ("light", 400),
+    ],
+)
 def test_axe_finds_no_serious_violation(tab, versions, tmp_path, scheme, width):
     page = tab.open(page_of(versions, tmp_path / "page.html").as_uri())
     page.emulate_media(color_scheme=scheme)

@@ -24,7 +24,7 @@ from helpers.command_line import SPACE, X, cornercase, waiting_after
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory) -> Path:
     folder: Path = tmp_path_factory.mktemp("demo")
-    result = cornercase("demo", "x-intersection", "--budget", "60", "--seed", "1", "-o", folder)
+    result = cornercase("demo", "x-intersection", "--budget", "40", "--seed", "1", "-o", folder)
     assert result.returncode == 0, result.stderr
     assert str(folder / "report.html") in result.stdout
     return folder
@@ -37,8 +37,8 @@ def test_demo_leaves_everything_it_promises(demo):
     manifest = json.loads((demo / "reduced" / "manifest.json").read_text())
     files = {path.name for path in (demo / "reduced").glob("*.xosc")}
     assert files == {item["file"] for item in manifest["scenarios"]}
-    assert manifest["run"] == 60
-    assert 0 < manifest["kept"] < 30
+    assert manifest["run"] == 40
+    assert 0 < manifest["kept"] < 20
     for item in manifest["scenarios"]:
         assert {"id", "file", "cluster", "role", "why", "values", "scores"} <= set(item)
     # Figures for a paper take a while, and are drawn when they are asked for.
@@ -86,7 +86,7 @@ def test_reduced_scenarios_run_by_themselves_and_give_the_same_recording(demo):
 
 @pytest.mark.slow
 def test_the_same_demo_twice_gives_the_same_scores_and_labels(demo, tmp_path):
-    assert cornercase("demo", "x-intersection", "--budget", "60", "--seed", "1", "-o", tmp_path).returncode == 0
+    assert cornercase("demo", "x-intersection", "--budget", "40", "--seed", "1", "-o", tmp_path).returncode == 0
     with (
         StudyFile.open(demo / "study.db", readonly=True) as a,
         StudyFile.open(tmp_path / "study.db", readonly=True) as b,
@@ -100,12 +100,12 @@ def test_the_same_demo_twice_gives_the_same_scores_and_labels(demo, tmp_path):
 
 def test_show_and_export(demo, tmp_path):
     summary = json.loads(cornercase("show", demo / "study.db", "--json").stdout)
-    assert summary["run"] == 60
+    assert summary["run"] == 40
     assert "wttc" in cornercase("show", demo / "study.db").stdout
     assert cornercase("export", demo / "study.db", "-o", tmp_path).returncode == 0
     with open(tmp_path / "scenarios.csv", newline="") as file:
         rows = list(csv.DictReader(file))
-    assert len(rows) == 60
+    assert len(rows) == 40
     with StudyFile.open(demo / "study.db", readonly=True) as study:
         assert study.recording(7).collisions
         assert same_recording(read_recording(tmp_path / "recordings" / "00007.csv"), study.recording(7))

@@ -74,7 +74,7 @@ COMMANDS: dict[str, tuple[object, ...]] = {
     "warm-up": ("warm-up",),
     "repair": ("verify", "damaged.db", "--repair", "--scenario", X, "--workers", "2"),
 }  # fmt: skip
-BY_DAY = ("explore with workers and a driver", "simulate", "report")
+BY_DAY = ("explore with workers and a driver", "report")
 # So few scenarios may not answer the question.
 ANSWERS = {"compare": (0, 1, 2)}
 

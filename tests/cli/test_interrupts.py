@@ -96,7 +96,7 @@ def asked(number, place, *command, cwd):
         pytest.param(signal.SIGINT, f"~{SUMMARIZE}", SHOW, "Interrupted;", marks=pytest.mark.slow),
         (signal.SIGTERM, f"~{SUMMARIZE}", SHOW, "by SIGTERM;"),
         pytest.param(signal.SIGINT, f"+{SUMMARIZE}", SHOW, "Interrupted;", marks=pytest.mark.slow),
-        (signal.SIGTERM, f"+{SUMMARIZE}", SHOW, "by SIGTERM;"),
+        pytest.param(signal.SIGTERM, f"+{SUMMARIZE}", SHOW, "by SIGTERM;", marks=pytest.mark.slow),
     ],
 )
 def test_stumble_8_an_interrupted_command_says_a_word(number, place, command, words, study, tmp_path):

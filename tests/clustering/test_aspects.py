@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -149,11 +151,18 @@ class Odd(Aspect):
         return np.zeros(self.shape)
 
 
-@pytest.fixture
-def path(tmp_path):
-    with opened(tmp_path / "s.db") as study:
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    path = tmp_path_factory.mktemp("whole") / "s.db"
+    with opened(path) as study:
         explorer(study, metrics=("distance", "wttc"), optimizer="sobol").run()
-    return tmp_path / "s.db"
+    return path
+
+
+@pytest.fixture
+def path(whole, tmp_path):
+    """A copy, since tests change it."""
+    return Path(shutil.copy(whole, tmp_path / "s.db"))
 
 
 def test_a_study_is_analysed_by_any_of_them(path):

@@ -104,12 +104,16 @@ def told(request):
     return simulated(logical, "Target" if name == "CCCscp" else "VRU", drivers={"Ego": driver_by_name("normal")})
 
 
-def test_names_are_true_whatever_is_clustered_and_however_many_kinds_there_are(told):
+@pytest.mark.parametrize(
+    ("numbers", "columns"),
+    [((1, 5), ("nearest",)), pytest.param((2, 3, 8), ("lowest speed", "duration"), marks=pytest.mark.slow)],
+)
+def test_names_are_true_whatever_is_clustered_and_however_many_kinds_there_are(told, numbers, columns):
     tree = linkage(told.columns, "ward")
-    for kinds in (1, 2, 3, 5, 8):
+    for kinds in numbers:
         require_true(told, fcluster(tree, kinds, "maxclust") - 1)
     # By a single column, as by an aspect; with noise; and by nothing.
-    for name in ("nearest", "lowest speed", "duration"):
+    for name in columns:
         column = np.nan_to_num(told.account.features[name], nan=-1.0)[:, None]
         require_true(told, fcluster(linkage(pdist(column), "average"), 4, "maxclust") - 1)
     drawn = np.random.default_rng(0)

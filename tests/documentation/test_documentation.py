@@ -117,8 +117,8 @@ def test_the_code_runs(block, checkout):
     if block.page.name == "README.md":
         # What is pasted from there into a file has to run in whatever folder a user is.
         shutil.rmtree("examples")
-        # Half as many scenarios as users run.
-        text = block.text.replace("budget=60", "budget=30")
+        # A quarter of the scenarios that users run.
+        text = block.text.replace("budget=60", "budget=16")
         assert text != block.text
         Path("script.py").write_text(text)
         ended = subprocess.run([sys.executable, "script.py"], capture_output=True, text=True, timeout=600)

@@ -89,8 +89,8 @@ def recordings(name: str, values: Sequence[float], driver: Any) -> list[cc.Recor
     ("driver", "option", "values"),
     [
         ("normal", "reaction_time", [0.1, 1.5, 0.5]),
-        ("normal", "lateral_acceleration", [0.5, 3.0, 2.0]),
-        ("aggressive", "comfortable_deceleration", [1.0, 3.5, 2.0]),
+        pytest.param("normal", "lateral_acceleration", [0.5, 3.0, 2.0], marks=pytest.mark.slow),
+        pytest.param("aggressive", "comfortable_deceleration", [1.0, 3.5, 2.0], marks=pytest.mark.slow),
         ("simple", "time_headway", [0.5, 2.0]),
         ("cc-human", "delay", [0.1, 2.0]),
     ],

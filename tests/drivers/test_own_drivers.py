@@ -155,7 +155,7 @@ def test_42_5_a_study_goes_on_only_with_the_same_file_of_its_driver(folder):
 
 def test_42_5_commands_that_need_the_driver_again_say_how_to_give_it(folder):
     assert explored(folder, DRIVER).returncode == 0
-    steps = (("analyze", "s.db"), ("reduce", "s.db", "-o", "set", "--scenario", X))
+    steps = (("analyze", "s.db", "--by", "wttc"), ("reduce", "s.db", "-o", "set", "--scenario", X))
     assert [cornercase("-q", *one, cwd=folder).returncode for one in steps] == [0, 0]
     for command, words in (
         (("test", "set", "-o", "t.db"), "code named in a file is not run"),

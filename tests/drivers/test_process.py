@@ -18,7 +18,7 @@ import psutil
 import pytest
 
 import cornercase as cc
-from conftest import ran
+from conftest import at_night, ran
 from cornercase._common.errors import InputError, PluginError
 from cornercase.drivers import DRIVERS, EquippedDriver, ProcessFunction, Trajectory
 from cornercase.drivers import process as process_package
@@ -508,7 +508,7 @@ class PlainAeb(cc.SystemUnderTest):
         return -8.0 if leader is not None and leader.gap < 2.0 * leader.closing else 0.0
 
 
-@pytest.mark.parametrize("command", ["aeb.py", "aeb_numpy.py", "ros2_bridge.py", "./aeb"])
+@pytest.mark.parametrize("command", at_night(["aeb.py", "aeb_numpy.py", "ros2_bridge.py", "./aeb"], {"./aeb"}))
 def test_examples_of_the_page_drive_as_the_class_does(folder, monkeypatch, command):
     if command == "./aeb" and shutil.which("g++") is None:
         pytest.skip("g++ is not installed")

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from conftest import at_night
 from cornercase._common.errors import InputError
 from cornercase.drivers import DrivenPath, ReferenceDriver, Situation, drive_cut_in, drive_cut_out, drive_deceleration
 from cornercase.drivers._resolve import driver_by_name
@@ -106,7 +107,7 @@ def test_prevents_the_same_in_a_scenario_file(file, name):
     assert (~crashes & (rows.crash > 0)).sum() <= 4
 
 
-@pytest.mark.parametrize("name", REFERENCES)
+@pytest.mark.parametrize("name", at_night(REFERENCES, {"fsm", "cc-human"}))
 def test_goes_at_the_speed_asked_for_past_who_is_not_in_its_way(name):
     beside = Other("car", 60.0, 3.5, speed=5.0)
     ahead_and_faster = Other("car", 100.0, 0.0, speed=20.0)
@@ -164,7 +165,7 @@ def test_takes_a_path_that_runs_otherwise_in_each_scenario(name):
     assert given[-1][0] < -3.9
 
 
-@pytest.mark.parametrize("name", REFERENCES)
+@pytest.mark.parametrize("name", at_night(REFERENCES, {"reg157", "rss"}))
 def test_decides_the_same_alone_and_among_others(name):
     gaps, options = np.array([20.0, 35.0, 60.0, 90.0]), {"speed": 18.0, "target": 18.0, "duration": 5.0}
     together = Run(driver_by_name(name), straight(900.0), (Other("car", gaps, 0.0, speed=6.0),), scenarios=4, **options)

@@ -360,7 +360,11 @@ def test_a_scenario_has_the_same_bytes_alone_and_among_others(vehicle):
             assert getattr(alone, name).tobytes() == getattr(recording, name).tobytes()
 
 
-@pytest.mark.parametrize("driver", [Steering(0.02), Follower(), LaneChanger()], ids=str)
+@pytest.mark.parametrize(
+    "driver",
+    [Steering(0.02), *(pytest.param(one, marks=pytest.mark.slow) for one in (Follower(), LaneChanger()))],
+    ids=str,
+)
 def test_it_moves_in_sumo_as_in_the_builtin_simulator(driver):
     pytest.importorskip("libsumo", reason="SUMO comes with the extra 'sumo'")
     (expected,) = run_rows(driver, [FREE], 6.0)

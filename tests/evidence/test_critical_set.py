@@ -373,7 +373,7 @@ def jumping(points):
 
 def test_features_of_the_recordings_find_what_one_process_of_the_scores_cannot():
     columns = (Feature("least", "m"), Feature("gap", "s", branch=True))
-    points, everywhere = Sobol().start(CUBE, 1).ask(300), EVERYWHERE
+    points, everywhere = Sobol().start(CUBE, 1).ask(200), EVERYWHERE
     scores, features = jumping(points)
     scores[7], features[7] = np.nan, np.nan
     true = jumping(everywhere)[0] <= 1.0

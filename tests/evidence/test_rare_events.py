@@ -5,6 +5,7 @@ import pytest
 from scipy.special import ndtri
 from scipy.stats import binom, norm
 
+from conftest import at_night
 from cornercase.evidence._mixture import TMixture
 from cornercase.evidence._probability import (
     conditional_probability,
@@ -44,11 +45,12 @@ def two_tails(points):
 TWO_TAILS = 1.0 - (1.0 - norm.sf(4.5)) * (1.0 - norm.sf(4.4))
 
 
-def test_two_far_regions_of_one_in_a_hundred_thousand_are_told_within_a_fifth():
-    found = [estimated(space_of(3), two_tails, 4000, seed)[0] for seed in range(5)]
+@pytest.mark.parametrize("seeds", at_night([2, 5], {5}))
+def test_two_far_regions_of_one_in_a_hundred_thousand_are_told_within_a_fifth(seeds):
+    found = [estimated(space_of(3), two_tails, 4000, seed)[0] for seed in range(seeds)]
     assert all(abs(one.value / TWO_TAILS - 1.0) < 0.2 for one in found)
     assert all(one.error < 0.1 for one in found)
-    assert sum(one.low <= TWO_TAILS <= one.high for one in found) >= 4
+    assert sum(one.low <= TWO_TAILS <= one.high for one in found) >= seeds - 1
     # Plain Monte Carlo needs millions for what 4,000 scenarios say.
     assert all(one.equivalent_monte_carlo_scenarios > 1e6 for one in found)
 
@@ -164,11 +166,12 @@ def test_scores_without_direction_are_drawn_from_the_distribution_itself():
     assert guided.next_stage == "learn"
 
 
-def test_ten_dimensions_are_told_too():
+@pytest.mark.parametrize("seeds", at_night([1, 4], {4}))
+def test_ten_dimensions_are_told_too(seeds):
     def score(points):
         return -norm.ppf(1e-5) - ndtri(np.clip(points, 1e-16, 1 - 2e-16)).sum(1) / np.sqrt(10)
 
-    found = [estimated(space_of(10), score, 5000, seed)[0] for seed in range(4)]
+    found = [estimated(space_of(10), score, 5000, seed)[0] for seed in range(seeds)]
     assert all(abs(one.value / 1e-5 - 1.0) < 0.3 for one in found)
 
 

@@ -156,7 +156,10 @@ def test_one_is_asked_for_as_soon_as_one_has_ended_and_all_that_runs_is_known(tm
         np.testing.assert_allclose(study.scores("distance"), away, atol=1e-12)
 
 
-@pytest.mark.parametrize("optimizer", ["bayes", "level-set", "evolutionary:population=10", "optuna", "sobol", "grid"])
+@pytest.mark.parametrize(
+    "optimizer",
+    at_night(["bayes", "level-set", "evolutionary:population=10", "optuna", "sobol", "grid"], {"level-set", "optuna"}),
+)
 def test_the_stored_order_gives_the_same_proposals_again_also_of_a_search_that_was_interrupted(optimizer, tmp_path):
     path, one = tmp_path / "s.db", about(optimizer, audit=0.1)
     if optimizer == "optuna":

@@ -108,16 +108,25 @@ def test_what_follows_counts_critical_by_the_condition(study, tmp_path):
         cc.estimate(path, tmp_path / "estimate.db", scenario=CUT_IN, drivers={"Ego": "cautious"})
 
 
-def test_a_condition_without_references_can_be_estimated(tmp_path):
-    path = tmp_path / "s.db"
+@pytest.fixture(scope="module")
+def by_collisions(tmp_path_factory):
+    path = tmp_path_factory.mktemp("collisions") / "s.db"
     explored(path, critical_if="collision")
-    estimation = cc.estimate(path, tmp_path / "estimate.db", scenario=CUT_IN, budget=100)
+    return path
+
+
+@pytest.mark.slow
+def test_a_condition_without_references_can_be_estimated(by_collisions, tmp_path):
+    estimation = cc.estimate(by_collisions, tmp_path / "estimate.db", scenario=CUT_IN, budget=100)
     assert estimation.critical.met > 0
     assert estimation.critical == estimation.collision
+
+
+def test_who_estimates_a_condition_gives_no_threshold(by_collisions, tmp_path):
     with pytest.raises(
         InputError, match=r"s\.db: its condition, collision, says what is critical; leave `critical` out"
     ):
-        cc.estimate(path, tmp_path / "other.db", critical=0.5, scenario=CUT_IN)
+        cc.estimate(by_collisions, tmp_path / "other.db", critical=0.5, scenario=CUT_IN)
 
 
 @pytest.mark.slow

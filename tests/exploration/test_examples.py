@@ -69,7 +69,7 @@ def test_speed_of_the_car_has_next_to_no_influence_on_the_x_intersection(x_inter
 @pytest.fixture(scope="module")
 def x_study(tmp_path_factory):
     path = tmp_path_factory.mktemp("x") / "study.db"
-    explore_config(paper_experiment_config("x-intersection", budget=200, seed=0), path)
+    explore_config(paper_experiment_config("x-intersection", budget=120, seed=0), path)
     return path
 
 

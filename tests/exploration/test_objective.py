@@ -165,11 +165,11 @@ def test_options_of_a_search_stand_behind_a_colon():
 def test_an_explorer_stops_when_enough_is_known(tmp_path):
     limit = {"critical": 1.0}
     with opened(tmp_path / "s.db") as study:
-        result = explorer(study, optimizer="sobol", budget=400, stop_when=("missed<0.1",), **limit).run()
-    assert 40 <= result.n_finished < 400
+        result = explorer(study, optimizer="sobol", budget=400, stop_when=("missed<0.3",), **limit).run()
+    assert 20 <= result.n_finished < 400
     assert "of the critical set is missed" in result.reason
     with opened(tmp_path / "t.db") as study:
-        never = ("missed<0.1", "unvisited(0.0001)<0.001")
+        never = ("missed<0.3", "unvisited(0.0001)<0.001")
         assert explorer(study, optimizer="sobol", budget=60, stop_when=never, **limit).run().n_finished == 60
     with opened(tmp_path / "u.db") as study, pytest.raises(InputError, match="has no default threshold"):
         explorer(study, stop_when=never)

@@ -162,9 +162,9 @@ def test_a_single_run_of_a_random_sensor_is_noticed(approach, tmp_path):
 def test_versions_with_random_sensors_are_compared_by_tests(approach, tmp_path):
     """A grid has the same scenarios with any seed, but not the same random numbers."""
     for name, driver, seed in (("a", NOISY, 1), ("b", NOISY, 2), ("late", NOISY + ",latency=1,range=25", 3)):
-        explored(approach, tmp_path / f"{name}.db", driver, seed=seed, budget=31, optimizer="grid")
+        explored(approach, tmp_path / f"{name}.db", driver, seed=seed, budget=21, optimizer="grid")
     same = cc.compare(tmp_path / "a.db", tmp_path / "b.db")
-    assert sum(pair.run == "otherwise" for pair in same.pairs) > 20
+    assert sum(pair.run == "otherwise" for pair in same.pairs) > 13
     assert not same.is_deterministic
     assert not same.changed
     assert same.verdict == "the same"

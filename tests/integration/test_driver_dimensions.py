@@ -11,7 +11,7 @@ import pytest
 from lxml import etree
 
 import cornercase as cc
-from conftest import same_recording
+from conftest import at_night, same_recording
 from cornercase.simulators import Builtin, Simulator
 from cornercase.study import StudyFile
 from helpers.command_line import SPACE, X, cornercase
@@ -66,7 +66,10 @@ def folder(tmp_path_factory):
     ended = explore(path / "preset.db", ranges=["Ego.reaction_time=0.1:1.5"], driver="normal")
     assert ended.returncode == 0, ended.stderr
     for name in ("own", "preset"):
-        for command in (("analyze", f"{name}.db"), ("reduce", f"{name}.db", "--size", 3, "-o", f"{name}-set")):
+        for command in (
+            ("analyze", f"{name}.db", "--by", "wttc"),
+            ("reduce", f"{name}.db", "--size", 3, "-o", f"{name}-set"),
+        ):
             ended = cornercase(*command, cwd=path)
             assert ended.returncode == 0, ended.stderr
     return path
@@ -254,21 +257,21 @@ _REACTION_DISTRIBUTION = (
 )
 
 
-def test_a_reference_driver_does_not_get_the_values_of_the_driver(folder, tmp_path):
+@pytest.mark.parametrize("more", at_night([(), ("--asynchronous",)], [("--asynchronous",)]))
+def test_a_reference_driver_does_not_get_the_values_of_the_driver(folder, tmp_path, more):
     condition = ("--critical-if", "collision and not reference:cc-human", "--metric", "clearance")
-    for more in ((), ("--asynchronous",)):
-        study = tmp_path / f"condition{len(more)}.db"
-        ended = cornercase(
-            *("explore", X, "--space", SPACE, "--range", "Ego.reaction_time=0.5:2.5", "--driver", "Ego=normal"),
-            *("--ego", "Ego", "--other", "Pedestrian", *condition, "--optimizer", "sobol", "--budget", 16, *more),
-            *("-o", study),
-        )
-        assert ended.returncode == 0, ended.stderr
-        assert " failed" not in ended.stdout
-        with StudyFile.open(study, readonly=True) as opened:
-            collided = [row.id for row in opened.finished_rows() if opened.recording(row.id).collisions]
-            assert collided
-            assert any(opened.reference_outcome(number, "cc-human") is not None for number in collided)
+    study = tmp_path / "condition.db"
+    ended = cornercase(
+        *("explore", X, "--space", SPACE, "--range", "Ego.reaction_time=0.5:2.5", "--driver", "Ego=normal"),
+        *("--ego", "Ego", "--other", "Pedestrian", *condition, "--optimizer", "sobol", "--budget", 16, *more),
+        *("-o", study),
+    )
+    assert ended.returncode == 0, ended.stderr
+    assert " failed" not in ended.stdout
+    with StudyFile.open(study, readonly=True) as opened:
+        collided = [row.id for row in opened.finished_rows() if opened.recording(row.id).collisions]
+        assert collided
+        assert any(opened.reference_outcome(number, "cc-human") is not None for number in collided)
 
 
 def test_mutants_need_a_driver_whose_options_are_not_varied(folder):
@@ -286,6 +289,7 @@ def test_sumo_says_that_it_drives_itself(tmp_path):
     assert "SUMO itself drives Ego as 'normal'" in ended.stderr
 
 
+@pytest.mark.slow
 def test_an_estimate_runs_new_scenarios_with_values(folder):
     ended = cornercase("estimate", "preset.db", "--budget", 100, "-o", "estimate.db", cwd=folder)
     assert ended.returncode == 0, ended.stderr

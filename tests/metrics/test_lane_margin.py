@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import cornercase as cc
+from conftest import at_night
 from cornercase.drivers._system_under_test import ScalarFunction
 from cornercase.metrics import METRICS, Expression, signals_from_recording
 from cornercase.recordings import Recording
@@ -131,7 +132,7 @@ CASES = [
 
 
 @pytest.mark.parametrize(("file", "values"), CASES)
-@pytest.mark.parametrize("function", ["PassSlowLeader", "Evade"])
+@pytest.mark.parametrize("function", at_night(["PassSlowLeader", "Evade"], {"PassSlowLeader"}))
 @pytest.mark.filterwarnings("ignore::cornercase.NoticeWarning")
 def test_functions_on_the_motorway_change_lanes_without_a_collision(file, values, function):
     scenario = EXAMPLES / "r157" / f"{file}.xosc"

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import cdist
 
+from conftest import at_night
 from cornercase.reduction._coverage import measure_coverage
 from cornercase.reduction._held_out_coverage import (
     draw_folds,
@@ -46,9 +47,10 @@ def test_each_scenario_judges_once_and_chooses_nothing_that_it_judges(count):
         assert len(trial.selected) == 20
 
 
-def test_what_is_said_of_others_is_what_further_scenarios_find():
+@pytest.mark.parametrize("sets", at_night([3, 8], {8}))
+def test_what_is_said_of_others_is_what_further_scenarios_find(sets):
     told, alike, further = [], [], []
-    for seed in range(8):
+    for seed in range(sets):
         rng = np.random.default_rng(seed)
         found = material(203, rng)
         kept = [one.index for one in select(found, TWENTY)[0]]
@@ -78,9 +80,10 @@ def test_a_set_leaves_less_of_further_scenarios_than_random_choices_do_in_the_me
         assert (random > away[kept].min(axis=0).mean()).mean() >= 0.9
 
 
-def test_critical_scenarios_are_like_a_kept_one_as_often_as_is_said_of_others():
+@pytest.mark.parametrize("sets", at_night([3, 8], {8}))
+def test_critical_scenarios_are_like_a_kept_one_as_often_as_is_said_of_others(sets):
     told, itself, further = [], [], []
-    for seed in range(8):
+    for seed in range(sets):
         rng = np.random.default_rng(seed)
         found = material(203, rng)
         distances, points = found.distances[0], found.points

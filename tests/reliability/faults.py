@@ -62,6 +62,7 @@ COMMANDS: Final[dict[str, tuple[str, ...]]] = {
     ),
     "replay": ("replay", "study.db", "1", "-o", "replay.html"),
 }
+_ON_FILES_ALONE: Final = {"simulate", "vary", "convert", "explore"}
 ERRORS: Final = {"EIO": errno.EIO, "ENOSPC": errno.ENOSPC, "EACCES": errno.EACCES, "full": 0}
 _LONGEST: Final = 60.0
 # What SQLite and the lock of a study keep beside it, while it is open or after a process was ended.
@@ -165,12 +166,14 @@ def _tables(file: Path) -> str:
     return hashlib.sha256(repr(rows).encode()).hexdigest()
 
 
-def prepare(folder: Path) -> None:
+def prepare(folder: Path, chosen: Sequence[str]) -> None:
     """Make what the commands are run on."""
     folder.mkdir(parents=True)
     for one in EXAMPLE.iterdir():
         if one.is_file():
             shutil.copy(one, folder)
+    if set(chosen) <= _ON_FILES_ALONE:
+        return
     for command in (
         (*_SEARCH, "--budget", "6", "-o", "study.db"),
         (*_SEARCH, "--budget", "6", "-o", "analyzed.db"),
@@ -235,7 +238,7 @@ def torture(
     """Let each order of each command fail, or so many of each command that are drawn."""
     counted = Counted()
     template, work = place / "template", place / "work"
-    prepare(template)
+    prepare(template, chosen)
     draw = random.Random(seed)
     for name in chosen:
         command = COMMANDS[name]

@@ -68,6 +68,12 @@ def page(path, tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
+def data(path):
+    with StudyFile.open(path, readonly=True) as study:
+        return read_report_data(study)
+
+
+@pytest.fixture(scope="module")
 def known(path):
     with StudyFile.open(path, readonly=True) as study:
         return known_of(study)
@@ -204,9 +210,8 @@ def test_a_recording_of_few_instants_is_read_back(n_instants):
         np.testing.assert_allclose(found[name], getattr(recording, name), atol=STEPS[name])
 
 
-def test_a_page_that_would_be_too_large_keeps_the_recordings_that_tell_most(path, page):
+def test_a_page_that_would_be_too_large_keeps_the_recordings_that_tell_most(path, page, data):
     with StudyFile.open(path, readonly=True) as study:
-        data = read_report_data(study)
         packed = page_recordings.encode_important_recordings(
             study, data, max_characters=1000, sample_characters=6000, n_most_critical=2
         )
@@ -263,7 +268,7 @@ def test_no_name_ends_a_script_or_an_attribute(tmp_path):
 KINDS = ["plain", "pareto", "weights", "one", "choices", "fixed", "repeats", "imported"]
 
 
-@pytest.mark.parametrize("kind", at_night(KINDS, {"plain", "weights", "repeats", "imported", "one"}))
+@pytest.mark.parametrize("kind", at_night(KINDS, {"plain", "weights", "repeats", "imported", "one", "fixed"}))
 def test_every_kind_of_study_has_a_page(tmp_path, kind):
     space, more, scores = SPACE, dict[str, object](), None
     if kind == "pareto":
@@ -333,9 +338,7 @@ def test_where_all_failed_the_page_says_why_and_what_is_missing(of, tmp_path):
     assert f"scenario a b why 1 {value} " in text
 
 
-def test_answers_say_what_show_says(path, tmp_path):
-    with StudyFile.open(path, readonly=True) as study:
-        data = read_report_data(study)
+def test_answers_say_what_show_says(data):
     words = summary_to_dict(data.summary)
     answers = {one.name: one for one in page_answers(data)}
     share = words["critical"]["share"]
@@ -496,9 +499,9 @@ def test_a_set_is_shown_with_the_coverage_of_the_analyses_that_there_are_now(x_i
     explore(budget=30)
     for window in (None, 0.1):
         analyze(study, ["wttc"], window=window)
-        write_report(study, tmp_path / "r.html")
         with StudyFile.open(study, readonly=True) as opened:
             charts.append(read_report_data(opened).coverage_curves["wttc"])
+    write_report(study, tmp_path / "r.html")
     assert len(charts[0].to_selected) == len(charts[1].to_selected) == 30
     assert charts[0].reach[-1] != charts[1].reach[-1]
 
@@ -531,9 +534,8 @@ def test_near_misses_are_named_where_nothing_collides_and_lead_to_their_replays(
     assert f"Near miss in <a href='#id={nearest}'>scenario {nearest}</a>: " in page_of(path, tmp_path)
 
 
-def test_where_the_dangerous_scenarios_lie_is_said_beside_the_influence(path):
+def test_where_the_dangerous_scenarios_lie_is_said_beside_the_influence(path, data):
     with StudyFile.open(path, readonly=True) as study:
-        data = read_report_data(study)
         critical = study.critical_mask()
         values = {name: [float(row.values[name]) for row in study.finished_rows()] for name in study.space.names}
     said = [one for answer in page_answers(data) for one in answer.points if one.startswith("All ")]

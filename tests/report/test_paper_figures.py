@@ -24,7 +24,7 @@ FIGURES = {"scenario-1": "figure-5", "scenario-2": "figure-6"}
 def drawn(tmp_path_factory):
     """Folder that the command wrote for scenario 1."""
     folder = tmp_path_factory.mktemp("scenario-1")
-    ended = cornercase("paper", "scenario-1", "--budget", "40", "-o", folder)
+    ended = cornercase("paper", "scenario-1", "--budget", "20", "-o", folder)
     assert ended.returncode == 0, ended.stderr
     assert str(folder) in ended.stdout
     return folder
@@ -144,7 +144,7 @@ def test_all_noise_and_one_parameter_are_drawn_too(drawn, tmp_path):
     with StudyFile.open(study, readonly=True) as opened:
         data = paper_figures._read_data(opened, layout)
     drawings = list(paper_figures._draw_paper_figures(data, layout))
-    assert "0 clusters and 40 scenarios of noise" in drawings[0].caption
+    assert "0 clusters and 20 scenarios of noise" in drawings[0].caption
     single = replace(
         data, parameters=data.parameters[:1], influential=(0,), values=data.values[:, :1], points=data.points[:, :1]
     )

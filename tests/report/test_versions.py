@@ -39,15 +39,24 @@ def page_of(versions, path) -> Path:
     return write_comparison(cc.compare(old, new), old, new, path)
 
 
+@pytest.fixture(scope="module")
+def found(versions):
+    return cc.compare(*versions)
+
+
+@pytest.fixture(scope="module")
+def page(versions, tmp_path_factory):
+    """The page of both, which is written once."""
+    return page_of(versions, tmp_path_factory.mktemp("page") / "page.html").read_text(encoding="utf-8")
+
+
 def contents_of(page):
     found = re.search(r'<script type="application/json" id="contents">(.*?)</script>', page, re.DOTALL)
     assert found is not None
     return json.loads(found[1])
 
 
-def test_it_holds_each_telling_scenario_with_both_versions(versions, tmp_path):
-    found = cc.compare(*versions)
-    page = page_of(versions, tmp_path / "page.html").read_text(encoding="utf-8")
+def test_it_holds_each_telling_scenario_with_both_versions(found, page):
     assert found.reason in page
     assert f"<h2>{found.verdict.capitalize()}: " in page
     shown = re.findall(r"<b>(.*?)</b>: (.*?)</li>", page.partition('id="next"')[0], re.DOTALL)
@@ -97,8 +106,7 @@ def test_versions_that_do_not_differ_have_a_page_too(versions, tmp_path):
     assert 'id="replay"' not in page
 
 
-def test_it_says_how_both_were_made_and_what_differs(versions, tmp_path):
-    page = page_of(versions, tmp_path / "page.html").read_text(encoding="utf-8")
+def test_it_says_how_both_were_made_and_what_differs(versions, page):
     origins = page.partition('id="origins"')[2]
     rows = re.findall(r"<tr( class=\"differs\")?><td>(.*?)</td><td>(.*?)</td><td>(.*?)</td>", origins)
     facts = {name: (old, new, bool(differs)) for differs, name, old, new in rows}
@@ -109,12 +117,10 @@ def test_it_says_how_both_were_made_and_what_differs(versions, tmp_path):
     commands = re.findall(r"<pre tabindex=\"0\"><code>(.*?)</code>", origins, re.DOTALL)
     assert [one.split()[1] for one in commands] == ["explore", "explore", "compare"]
     assert [one.split(" -o ")[1].split()[0] for one in commands] == ["old.db", "new.db", "compare.html"]
-    assert str(tmp_path) not in page
+    assert str(versions[0].parent) not in page
 
 
-def test_it_says_what_to_fix_and_what_was_not_tested(versions, tmp_path):
-    found = cc.compare(*versions)
-    page = page_of(versions, tmp_path / "page.html").read_text(encoding="utf-8")
+def test_it_says_what_to_fix_and_what_was_not_tested(found, page):
     steps = re.sub(r"<[^>]*>", "", page.partition('id="next"')[2].partition("</section>")[0])
     fresh = [pair.ids[1] for pair in found.pairs if pair.collides == (False, True)]
     if fresh:
@@ -124,12 +130,11 @@ def test_it_says_what_to_fix_and_what_was_not_tested(versions, tmp_path):
     assert "Anything outside of the ranges of the parameters" in steps
 
 
-def test_the_most_important_replays_stay_where_all_are_too_many(versions, tmp_path, monkeypatch):
+def test_the_most_important_replays_stay_where_all_are_too_many(versions, found, tmp_path, monkeypatch):
     from cornercase.report.comparison import _replayed_pairs
 
     monkeypatch.setattr(_replayed_pairs, "_MAX_CHARACTERS", 1)
     page = page_of(versions, tmp_path / "page.html").read_text(encoding="utf-8")
-    found = cc.compare(*versions)
     first = found.examples[0].pair.ids
     assert set(re.findall(r'href="#pair=(\d+),(\d+)"', page)) == {tuple(map(str, first))}
     n_differing = sum(pair.run != "the same" for pair in found.pairs)

@@ -66,17 +66,20 @@ def run(scenario, monkeypatch):
     ("wrong", "words"),
     [
         ("agent removes the ego", "Ego was removed from CARLA at t = 0.3 s, while the storyboard went on"),
-        ("agent changes the time step", "the time step of CARLA became 0.1 s at t = 0.3 s"),
-        (
+        pytest.param(
+            "agent changes the time step", "the time step of CARLA became 0.1 s at t = 0.3 s", marks=pytest.mark.slow
+        ),
+        pytest.param(
             "agent removes the folder",
             "scenario_runner.log, which ScenarioRunner wrote into the folder of the run, cannot be read (No such file"
             " or directory); an agent must not change that folder",
+            marks=pytest.mark.slow,
         ),
         ("agent writes files", "cannot be read (Is a directory); an agent must not change that folder"),
         ("agent ends the process", "to the end: it ended with exit code 3; its last words: no such weights"),
         ("agent raises", "to the end: ValueError: lost TimeoutError: time-out of 5000ms"),
-        ("cannot plan", "to the end: networkx.exception.NetworkXNoPath: 0 from 2"),
-        ("agent raises and the client aborts", "to the end: ValueError: lost"),
+        pytest.param("cannot plan", "to the end: networkx.exception.NetworkXNoPath: 0 from 2", marks=pytest.mark.slow),
+        pytest.param("agent raises and the client aborts", "to the end: ValueError: lost", marks=pytest.mark.slow),
     ],
 )
 def test_what_an_agent_does_wrong_is_a_failed_scenario(run, wrong, words):
@@ -91,7 +94,11 @@ def test_an_agent_that_hangs_is_told_from_a_server_that_does(run, tmp_path):
     assert type(found) is SimulationError
     assert str(found).startswith("CARLA sent no frame for 9 s, though it answers, since ScenarioRunner asked for none")
     assert "the agent my_agent.py hangs, or needs more time by `simulator` carla:patience=" in str(found)
-    # Without one, ScenarioRunner or CARLA's client hangs, which may not happen again.
+
+
+@pytest.mark.slow
+def test_where_no_agent_hangs_it_is_tried_again(run):
+    """ScenarioRunner or CARLA's client hangs, which may not happen again."""
     assert type(run("agent hangs", patience=3.0)) is SimulatorError
 
 

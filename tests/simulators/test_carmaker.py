@@ -18,7 +18,7 @@ import psutil
 import pytest
 
 import cornercase as cc
-from conftest import ran, same_recording
+from conftest import at_night, ran, same_recording
 from cornercase._common.errors import InputError, NoticeWarning, SimulationError, SimulatorError
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import CarMaker
@@ -128,7 +128,7 @@ def test_workers_that_cannot_name_their_results_need_a_project_each(project):
 SPEEDS = (10.0, 20.0, 30.0)
 
 
-@pytest.mark.parametrize("waits", ["waits", "at once", "error"])
+@pytest.mark.parametrize("waits", at_night(["waits", "at once", "error"], {"waits", "error"}))
 @pytest.mark.parametrize("course", [(-1, -5, 0, 0, -3), (-10, -11, -1, -4, 3), (), (-3,), (5,)])
 def test_three_speeds_give_three_recordings_however_the_waits_end(project, waits, course):
     # Without any state it is idle again before the first poll.
@@ -138,7 +138,7 @@ def test_three_speeds_give_three_recordings_however_the_waits_end(project, waits
     port.close()
 
 
-@pytest.mark.parametrize("waits", ["waits", "at once", "error"])
+@pytest.mark.parametrize("waits", at_night(["waits", "at once", "error"], {"waits", "error"}))
 @pytest.mark.parametrize(
     ("behaviour", "words"),
     [

@@ -231,13 +231,15 @@ def test_a_study_and_a_suite_are_those_of_one_process(client, tmp_path):
     explore_config(configuration, tmp_path / "here.db")
     explore_config(replace(configuration, cluster=client), tmp_path / "there.db")
     assert stored(tmp_path / "here.db") == stored(tmp_path / "there.db")
-    for place in ("here", "there"):
-        cc.analyze(tmp_path / f"{place}.db", ["wttc"])
+    for place, cluster in (("here", None), ("there", client)):
+        cc.analyze(tmp_path / f"{place}.db", ["wttc"], cluster=cluster)
         cc.reduce(tmp_path / f"{place}.db", tmp_path / place, size=3, scenario=X)
+    assert analysed(tmp_path / "here.db") == analysed(tmp_path / "there.db")
     result = cc.run_suite(tmp_path / "there", tmp_path / "run.db", cluster=client)
     assert all(one.difference is not None and one.difference.same for one in result.scenarios)
 
 
+@pytest.mark.slow
 def test_an_analysis_and_a_reduced_set_are_those_of_one_process(client, tmp_path):
     """Compare the bytes of the study and of all output files, including mutants."""
     configuration = replace(paper_experiment_config("x-intersection", budget=16), duration=10.0, batch=16)

@@ -67,7 +67,7 @@ def test_examples_are_the_same_with_a_look_in_each_frame(name, monkeypatch):
     assert_same(recordings(drawn(name, 12)), held, 1e-9)
 
 
-@pytest.mark.parametrize("seed", at_night(range(24), range(2, 24)))
+@pytest.mark.parametrize("seed", at_night(range(24), range(1, 24)))
 def test_random_storyboards_are_the_same_with_a_look_in_each_frame(seed, tmp_path, monkeypatch):
     write_roads(tmp_path)
     path = Path(tmp_path) / "storyboard.xosc"
@@ -138,7 +138,7 @@ class InPython(Driver):
         return self.inner.acceleration(situation)
 
 
-@pytest.mark.parametrize("count", [1, 9])
+@pytest.mark.parametrize("count", at_night([1, 9], {1}))
 @pytest.mark.parametrize("name", ["x_intersection", "t_intersection"])
 @pytest.mark.parametrize("in_python", [(True, False, True), (False, True, True), (False, True, False)])
 def test_who_decides_in_python_decides_as_in_compiled_code(name, in_python, count):

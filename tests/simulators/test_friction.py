@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import cornercase as cc
+from conftest import at_night
 from cornercase._common.typing import FloatArray
 from cornercase.drivers import VEHICLES, BehaviourDriver, Driver, EquippedDriver, Situation
 from cornercase.drivers.vehicles._actuated import Actuators
@@ -68,7 +69,7 @@ def drive(path: Path, driver: str | Driver, duration: float = 20.0) -> cc.Record
         return cc.simulate(path, values, drivers={"Ego": driver}, duration=duration)
 
 
-@pytest.mark.parametrize("vehicle", ["actuators", "kinematic", "single-track:mu=1"])
+@pytest.mark.parametrize("vehicle", at_night(["actuators", "kinematic", "single-track:mu=1"], {"kinematic"}))
 def test_friction_lengthens_the_braking_distance(tmp_path: Path, vehicle: str) -> None:
     driver = EquippedDriver(Brake(), vehicle=VEHICLES.create(vehicle))
     for friction, deceleration in (("0.5", 0.5 * GRAVITY), ("1", 8.0)):

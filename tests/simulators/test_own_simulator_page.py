@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -27,20 +28,22 @@ def code() -> list[str]:
     return [block.text for block in blocks_of(PAGE) if block.language == "python"]
 
 
-@pytest.fixture
-def names(code, tmp_path, monkeypatch) -> dict[str, Any]:
-    """Namespace of the page's code, run in a folder with the first demonstration."""
-    monkeypatch.setattr(SIMULATORS, "_factories", dict(SIMULATORS._factories))
-    (tmp_path / "x").mkdir()
-    (tmp_path / "x" / "scenario").symlink_to(EXAMPLES / "x_intersection")
-    monkeypatch.chdir(tmp_path)
-    found: dict[str, Any] = {"__name__": "page"}
-    for text in code:
-        exec(compile(text, str(PAGE), "exec"), found)
-    return found
+@pytest.fixture(scope="module")
+def folder(code, tmp_path_factory) -> Iterator[Path]:
+    """Folder with the first demonstration, in which the page's code has been run."""
+    folder = tmp_path_factory.mktemp("page")
+    (folder / "x").mkdir()
+    (folder / "x" / "scenario").symlink_to(EXAMPLES / "x_intersection")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(SIMULATORS, "_factories", dict(SIMULATORS._factories))
+        patch.chdir(folder)
+        found: dict[str, Any] = {"__name__": "page"}
+        for text in code:
+            exec(compile(text, str(PAGE), "exec"), found)
+        yield folder
 
 
-def test_42_11_the_page_runs_and_its_example_is_right(names):
+def test_42_11_the_page_runs_and_its_example_is_right(folder):
     with StudyFile.open("braking.db") as study:
         assert study.meta.settings == {"time_step": 0.05, "braking": 4.0}
         assert study.meta.repeatability["same"]
@@ -51,15 +54,15 @@ def test_42_11_the_page_runs_and_its_example_is_right(names):
     assert all(hit == (gap <= 0.0) for hit, gap in zip(collided, gaps.tolist(), strict=True))
 
 
-def test_42_11_a_file_that_declares_parameters_and_entities_is_enough(names, tmp_path):
+def test_42_11_a_file_that_declares_parameters_and_entities_is_enough(folder):
     steps = (
         ("analyze", "line.db"), ("reduce", "line.db", "-o", "set"), ("report", "line.db", "-o", "line.html"),
         ("show", "line.db"),
     )  # fmt: skip
     for step in steps:
-        done = cornercase("-q", *step, cwd=tmp_path)
+        done = cornercase("-q", *step, cwd=folder)
         assert done.returncode == 0, done.stderr
-    assert list((tmp_path / "set").glob("braking-*.xosc"))
+    assert list((folder / "set").glob("braking-*.xosc"))
     with StudyFile.open("line.db") as study:
         # Scenarios that do not brake within 10 s fail, and the search continues.
         assert len(study.rows()) == 40
@@ -67,10 +70,10 @@ def test_42_11_a_file_that_declares_parameters_and_entities_is_enough(names, tmp
     (outcome,) = SIMULATORS.create("braking").run([concrete])
     assert isinstance(outcome, SimulationError)
     refused = cornercase("explore", "braking.xosc", "--range", "ego_strt=0:9", "--ego", "Ego", "--other", "Pedestrian",
-                         "--metric", "clearance", "--simulator", "braking", "-o", "z.db", cwd=tmp_path)  # fmt: skip
+                         "--metric", "clearance", "--simulator", "braking", "-o", "z.db", cwd=folder)  # fmt: skip
     assert "did you mean 'ego_start'?" in refused.stderr
     builtin = cornercase("explore", "braking.xosc", "--range", "ego_start=0:9", "--ego", "Ego", "--other",
-                         "Pedestrian", "--metric", "clearance", "-o", "z.db", cwd=tmp_path)  # fmt: skip
+                         "Pedestrian", "--metric", "clearance", "-o", "z.db", cwd=folder)  # fmt: skip
     assert (builtin.returncode, "is not a vehicle, pedestrian or misc object" in builtin.stderr) == (2, True)
 
 
@@ -86,7 +89,7 @@ def test_42_11_ranges_alone_are_told_what_they_need(tmp_path):
         cc.LogicalScenario.read(None)
 
 
-def test_42_11_what_the_page_says_of_options_holds(names):
+def test_42_11_what_the_page_says_of_options_holds(folder):
     assert list(check_settings(0.05, 60.0, "continue", None)) == ["time_step", "duration", "on_collision", "drivers"]
     with pytest.raises(InputError, match="supports no drivers"):
         cc.simulate("braking.xosc", {"ego_start": 3.0}, simulator="braking", drivers={"Ego": "normal"})

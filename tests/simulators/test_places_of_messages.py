@@ -68,7 +68,7 @@ SCENARIOS = {
 }
 
 
-@pytest.mark.parametrize("each", at_night([97, 7], {7}))
+@pytest.mark.parametrize("each", at_night([197, 7], {7}))
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_43_10_each_message_names_file_line_and_element(tmp_path, name, each):
     folder, scenario, broken = SCENARIOS[name]

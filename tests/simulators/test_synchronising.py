@@ -111,7 +111,12 @@ def test_who_is_beside_the_lanes_is_looked_up_and_acts_compiled(tmp_path, monkey
 
 
 @pytest.mark.parametrize(
-    ("asked", "gap"), [('distance="$gap"', 25.0), ('distance="$gap" freespace="true"', 29.0), ('timeGap="1.2"', 18.0)]
+    ("asked", "gap"),
+    [
+        ('distance="$gap"', 25.0),
+        pytest.param('distance="$gap" freespace="true"', 29.0, marks=pytest.mark.slow),
+        ('timeGap="1.2"', 18.0),
+    ],
 )
 @pytest.mark.parametrize("limits", ['maxSpeed="30"', 'maxAcceleration="3" maxDeceleration="5" maxAccelerationRate="4"'])
 @pytest.mark.parametrize("system", ["entity", "road"])

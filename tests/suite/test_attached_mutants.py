@@ -40,11 +40,11 @@ def test_a_program_has_mutants_by_its_file_through_the_commands(folder):
     driver = f"Ego={PROGRAM}:time_to_brake=2"
     done = cornercase(
         "-q", "explore", DECELERATION, "--range", "gap=15:60", "--ego", "Ego", "--other", "Other", "--metric", "ttc",
-        "--optimizer", "sobol", "--budget", 6, "--duration", 12, "--sut", driver, "-o", "s.db", cwd=folder,
+        "--optimizer", "sobol", "--budget", 3, "--duration", 8, "--sut", driver, "-o", "s.db", cwd=folder,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    assert cornercase("-q", "analyze", "s.db", cwd=folder).returncode == 0
-    selected = ("-q", "reduce", "s.db", "--size", 2, "--kill-mutants", 3, "-o", "reduced", "--sut")
+    assert cornercase("-q", "analyze", "s.db", "--by", "ttc", cwd=folder).returncode == 0
+    selected = ("-q", "reduce", "s.db", "--size", 1, "--kill-mutants", 2, "-o", "reduced", "--sut")
     unknown = cornercase(*selected, driver, cwd=folder)
     assert unknown.returncode == 2
     assert "nothing says how far its parameters may be off; give a file" in unknown.stderr
@@ -55,7 +55,7 @@ def test_a_program_has_mutants_by_its_file_through_the_commands(folder):
         "test",
         "reduced",
         "--mutants",
-        3,
+        2,
         "--sut",
         f"{driver},mutations=program.toml",
         "--json",

@@ -146,8 +146,12 @@ def searched(tmp_path_factory, x_intersection):
     return found
 
 
-def test_each_version_says_what_it_does_in_a_kind_that_is_named_after_the_old_one(searched):
-    found = compared(*searched)
+@pytest.fixture(scope="module")
+def found(searched):
+    return compared(*searched)
+
+
+def test_each_version_says_what_it_does_in_a_kind_that_is_named_after_the_old_one(searched, found):
     kinds = found.clusters[found.main_aspect]
     for side, name in enumerate(("old", "new")):
         assert sum(getattr(kind, name) for kind in kinds) == sum(
@@ -163,8 +167,7 @@ def test_each_version_says_what_it_does_in_a_kind_that_is_named_after_the_old_on
         assert len(kind.ids) >= abs(kind.new - kind.old)
 
 
-def test_the_command_says_what_the_page_says_in_the_same_order(searched):
-    found = compared(*searched)
+def test_the_command_says_what_the_page_says_in_the_same_order(searched, found):
     result = CliRunner().invoke(app, ["compare", *map(str, searched)])
     places = [result.stdout.index(sentence) for sentence in describe_changes(found)]
     assert places == sorted(places)
@@ -176,5 +179,5 @@ def test_the_command_says_what_the_page_says_in_the_same_order(searched):
 
 
 @pytest.mark.parametrize("verdict", ["better", "worse", "mixed", "the same", "cannot say"])
-def test_a_verdict_is_a_sentence(searched, verdict):
-    assert len(describe_verdict(replace(compared(*searched), verdict=verdict)).split()) >= 4
+def test_a_verdict_is_a_sentence(found, verdict):
+    assert len(describe_verdict(replace(found, verdict=verdict)).split()) >= 4

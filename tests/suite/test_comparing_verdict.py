@@ -115,7 +115,14 @@ CASES: dict[str, list[tuple[Any, Any, Any]]] = {
 }
 
 
-@pytest.mark.parametrize(("verdict", "case"), [(name, one) for name, each in CASES.items() for one in each])
+@pytest.mark.parametrize(
+    ("verdict", "case"),
+    [
+        pytest.param(name, one, marks=[pytest.mark.slow] if k else [])
+        for name, each in CASES.items()
+        for k, one in enumerate(each)
+    ],
+)
 def test_42_3_compare_gives_a_verdict_and_an_exit_code(tmp_path, verdict, case):
     change, worse, better = case
     old = written(tmp_path / "old.db", GAPS)
@@ -300,6 +307,7 @@ def test_where_simulators_do_not_repeat_themselves_the_tests_decide_and_say_whic
     assert compared(hit[2], hit[1]).headline.startswith("Better: 11 collisions gone (2, 3, 4, 5, 6 and 6 more; 0 the")
 
 
+@pytest.mark.slow
 def test_scenarios_that_are_not_the_same_ones_are_judged_by_the_tests(tmp_path):
     studies = []
     for seed, nearer in ((1, 0.0), (2, 0.0), (2, 1.5)):

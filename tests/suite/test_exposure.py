@@ -57,7 +57,7 @@ def test_a_mutant_is_exposed_where_it_collides_and_its_driver_does_not(study, ex
 
 
 def test_a_requirement_says_what_a_mutant_has_to_fail(study, exposure):
-    strict = analyze_mutants(study, 15, require=["no collision", "ego.speed < 9"], scenario=T)
+    strict = analyze_mutants(study, 2, require=["no collision", "ego.speed < 9"], scenario=T)
     assert strict.requirements == ("no collision", "ego.speed < 9")
     assert strict.failed.sum() > exposure.failed.sum()
 

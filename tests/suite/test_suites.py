@@ -395,7 +395,7 @@ def test_requirements_come_from_files(name, content, tmp_path):
     assert [one.text for one in read_requirements(tmp_path / name)] == found
 
 
-@pytest.mark.parametrize("simulator", at_night(["esmini:undriven=true", "sumo"], {"esmini:undriven=true"}))
+@pytest.mark.parametrize("simulator", at_night(["esmini:undriven=true", "sumo"], {"esmini:undriven=true", "sumo"}))
 def test_it_runs_on_other_simulators_and_says_where_they_differ(simulator, explored, tmp_path):
     from cornercase.simulators import list_simulators
 

@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from conftest import at_night
 from cornercase.recordings import Collision, Recording
 from cornercase.simulators import Builtin
 from cornercase.testing import run_checks, simulator_checks
@@ -124,7 +125,18 @@ def small(tmp_path_factory):
     return write_small_scenarios(tmp_path_factory.mktemp("small"))
 
 
-@pytest.mark.parametrize("fault", FAULTS)
+# Each has a twin that is found in the same way.
+AT_NIGHT = {
+    "positions mirrored",
+    "headings clockwise",
+    "collisions are invented",
+    "lengths in feet",
+    "reference points for centres of boxes",
+    "boxes of another car",
+}
+
+
+@pytest.mark.parametrize("fault", at_night(FAULTS, AT_NIGHT))
 def test_each_fault_is_found_and_named(fault, small):
     change, words, name_of_fault = FAULTS[fault]
     faulty = Faulty(change)
@@ -147,8 +159,11 @@ def test_the_builtin_simulator_agrees_with_itself(ran):
         assert found.deviations.position == 0.0
 
 
-def test_it_agrees_at_another_time_step(small):
-    problems = {name: run_small_scenario("builtin:time_step=0.02", name, small[name]).problem for name in small}
+@pytest.mark.parametrize("each", at_night([4, 1], {1}))
+def test_it_agrees_at_another_time_step(small, each):
+    problems = {
+        name: run_small_scenario("builtin:time_step=0.02", name, small[name]).problem for name in [*small][::each]
+    }
     assert {problem for problem in problems.values() if problem} == set()
 
 

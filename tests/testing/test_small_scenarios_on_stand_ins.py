@@ -49,7 +49,7 @@ def problem(project, small, name, fault=""):
     return found
 
 
-@pytest.mark.parametrize("name", SMALL_SCENARIOS)
+@pytest.mark.parametrize("name", at_night(SMALL_SCENARIOS, [*SMALL_SCENARIOS][1::2]))
 def test_carmaker_agrees(project, small, name):
     assert problem(project, small, name) == ""
 
