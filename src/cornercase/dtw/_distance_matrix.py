@@ -277,13 +277,14 @@ def _subtract_common_mean(
     points = np.concatenate(arrays)
     # Must not overflow before the message below can name the series.
     mean = (points / len(points)).sum(axis=0)
-    arrays = [array - mean for array in arrays]
-    sizes = [np.abs(array).max() for array in arrays]
-    index = int(np.argmax(sizes))
-    if sizes[index] > np.finfo(np.float32).max:
+    points -= mean
+    # One pass over all points, since there may be thousands of short arrays.
+    ends = np.cumsum([len(array) for array in arrays])
+    if np.abs(points).max() > np.finfo(np.float32).max:
+        index = int(np.searchsorted(ends, np.abs(points).max(axis=1).argmax(), side="right"))
         name = f"Series {index}" if index < n_series else f"Landmark {index - n_series}"
         raise InputError(f"{name} is too large for float32; choose dtype 'float64'.")
-    return arrays
+    return [points[end - len(array) : end] for end, array in zip(ends.tolist(), arrays, strict=True)]
 
 
 def _check_positive_int(name: str, value: object) -> int:
@@ -317,12 +318,14 @@ def _validate_series(
             )
         if dims > MAX_DIMENSIONS:
             raise InputError(f"{name} {index} has {dims} dimensions; at most {MAX_DIMENSIONS} are supported.")
-        if not np.isfinite(array).all():
-            instant = int(np.argmin(np.isfinite(array).all(axis=1)))
-            raise InputError(
-                f"{name} {index} is not finite at instant {instant}; replace the value, or leave the series out."
-            )
         arrays.append(array)
+    # One pass over all points, since there may be thousands of short series.
+    if arrays and not np.isfinite(np.concatenate(arrays)).all():
+        index = next(k for k, array in enumerate(arrays) if not np.isfinite(array).all())
+        instant = int(np.argmin(np.isfinite(arrays[index]).all(axis=1)))
+        raise InputError(
+            f"{name} {index} is not finite at instant {instant}; replace the value, or leave the series out."
+        )
     return arrays
 
 
