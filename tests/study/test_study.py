@@ -158,6 +158,19 @@ def test_analyses_keep_types_and_the_last_one_counts(study):
         study.read_analysis("distance")
 
 
+def test_large_arrays_come_back_whether_or_not_they_are_worth_compressing(study):
+    random = np.random.default_rng(0).random((3000, 4))
+    arrays = {"ids": np.array([1, 3]), "coordinates": random, "labels": np.zeros(90_000, dtype=np.int64)}
+    study.writer.save_analysis("wttc", arrays, {})
+    found, _ = study.read_analysis("wttc", *arrays)
+    for name, array in arrays.items():
+        np.testing.assert_array_equal(found[name], array)
+    with sqlite3.connect(study.path) as connection:
+        sizes = dict(connection.execute("SELECT name, length(data) FROM arrays"))
+    assert sizes["coordinates"] > random.nbytes
+    assert sizes["labels"] < 10_000
+
+
 def test_no_value_in_the_file_grows_with_the_number_of_pairs(tmp_path):
     rng = np.random.default_rng(0)
     points = rng.random((300, 2))

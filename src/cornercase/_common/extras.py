@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import platform
-from importlib.metadata import PackageNotFoundError, requires
-
-from packaging.requirements import Requirement
 
 
 def describe_install(extra: str) -> str:
@@ -22,6 +19,11 @@ def describe_install(extra: str) -> str:
 
 def is_empty_extra(extra: str) -> bool:
     """Tell whether no package of an extra is for this Python and machine; False if that is unknown."""
+    # Imported here: most commands need no extra.
+    from importlib.metadata import PackageNotFoundError, requires
+
+    from packaging.requirements import Requirement
+
     try:
         requirements = [Requirement(text) for text in requires("cornercase") or ()]
     except PackageNotFoundError:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
+import zlib
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Final
 
@@ -22,6 +23,8 @@ DISTANCES: Final = "distances"
 _PIECE_BYTES: Final = 1 << 25
 # Limit of bytes of an array other than distances.
 _MAX_ARRAY_BYTES: Final = 1 << 26
+# Larger arrays are compressed only if their first bytes become shorter by a tenth, which those of coordinates do not.
+_ALWAYS_COMPRESSED_BYTES, _SAMPLE_BYTES, _WORTHWHILE_SHARE = 1 << 16, 1 << 14, 0.9
 # Rows mirrored at a time, so that both blocks stay in the processor's cache.
 _MIRROR_BLOCK_ROWS: Final = 256
 
@@ -46,7 +49,15 @@ def pack_array_pieces(
     for name, array in arrays.items():
         split = _split_upper_triangle if name == DISTANCES else _split_rows
         for number, piece in enumerate(split(np.asarray(array), max_bytes)):
-            yield analysis, name, number, pack_arrays({name: piece})
+            yield analysis, name, number, pack_arrays({name: piece}, compress=_is_compressible(piece))
+
+
+def _is_compressible(array: npt.NDArray[Any]) -> bool:
+    """Whether it is worth the time to compress an array."""
+    if array.nbytes <= _ALWAYS_COMPRESSED_BYTES:
+        return True
+    sample = array.ravel()[: _SAMPLE_BYTES // array.itemsize].tobytes()
+    return len(zlib.compress(sample, 1)) < _WORTHWHILE_SHARE * len(sample)
 
 
 def _split_rows(array: npt.NDArray[Any], max_bytes: int) -> Iterator[npt.NDArray[Any]]:
