@@ -76,3 +76,10 @@ def test_other_metrics_than_those_of_the_study_are_named_though_its_search_needs
     explore(CROSSING, tmp_path / "s.db", **ROLES, metrics="ttc", optimizer="level-set", budget=2)
     with pytest.raises(InputError, match=r"other metrics \(ttc in the study, distance given\)"):
         explore(CROSSING, tmp_path / "s.db", **ROLES, metrics="distance", budget=4)
+
+
+def test_other_metrics_than_those_of_a_front_are_named(tmp_path):
+    given: dict[str, Any] = {**ROLES, "pareto": True}
+    explore(CROSSING, tmp_path / "s.db", **given, metrics=["distance", "ttc"], optimizer="evolutionary", budget=2)
+    with pytest.raises(InputError, match=r"other metrics \(distance, ttc in the study, distance, pet given\)"):
+        explore(CROSSING, tmp_path / "s.db", **given, metrics=["distance", "pet"], budget=4)

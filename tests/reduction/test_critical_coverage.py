@@ -10,7 +10,7 @@ from scipy.stats import qmc
 from conftest import at_night
 from cornercase._common.errors import InputError
 from cornercase.evidence._critical_set_estimate import CriticalSet
-from cornercase.reduction._coverage import measure_nearest_distances
+from cornercase.reduction._coverage import NearestDistances, measure_nearest_distances
 from cornercase.reduction._critical_coverage import CriticalCoverage, max_similar_distance, measure_critical_coverage
 from cornercase.scenario import ParameterSpace
 from cornercase.study._criterion import Criterion
@@ -51,6 +51,17 @@ def test_the_space_is_as_unlike_as_a_dense_sample_says(places, seed):
     assert found.unlike is not None
     assert found.unlike.value == pytest.approx(truth, abs=0.06)
     assert found.unlike.low - 0.03 <= truth <= found.unlike.high + 0.03
+
+
+def test_of_many_scenarios_in_the_order_of_a_grid_those_are_learned_from_that_are_all_over_the_space():
+    a, b = np.meshgrid((np.arange(1024) + 0.5) / 1024, [0.25, 0.75], indexing="ij")
+    points = np.column_stack([a.ravel(), b.ravel()])
+    # 1,024 are critical, of which every second one, with the larger b, is far from what was selected.
+    distance = np.where(points[:, 1] > 0.5, 1.0, 0.0)
+    gaps = NearestDistances(distance, distance, distance[None])
+    found = measure_critical_coverage(SPACE, points, points[:, 0], Criterion(0.5), gaps, 0.5)
+    assert found.unlike is not None
+    assert found.unlike.value == pytest.approx(0.5, abs=0.05)
 
 
 @pytest.mark.filterwarnings("ignore:The balance properties")

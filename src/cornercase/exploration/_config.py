@@ -199,15 +199,21 @@ class ExplorationConfig(ExplorationOptions):
 
     def with_stored_optimizer(self, study: Path) -> ExplorationConfig:
         """Return the configuration with the optimizer of the file `study`, if it exists and no other was named."""
-        stored = None
+        stored, metrics = "none", tuple[str, ...]()
         if self.optimizer is None and study.exists():
-            # What else is wrong with the file is said when it is opened for writing. That includes other metrics, of
-            # which the optimizer might need a threshold that they do not have.
+            # What else is wrong with the file is said when it is opened for writing.
             with suppress(InputError), StudyFile.open(study) as opened:
-                if opened.meta.metrics == metric_fields(self.make_objective().metrics)["metrics"]:
-                    stored = opened.meta.optimizer
+                stored, metrics = opened.meta.optimizer, opened.meta.metrics
         # Imported recordings and runs of suites were not searched.
-        return self if stored in (None, "none") else replace(self, optimizer=known_optimizer(stored))
+        if stored == "none":
+            return self
+        config = replace(self, optimizer=known_optimizer(stored))
+        if "threshold" in config.search.requires:
+            # Other metrics may have none, but what does not fit are the metrics, which is said later.
+            with suppress(InputError):
+                if metric_fields(self.make_objective().metrics)["metrics"] != metrics:
+                    return self
+        return config
 
     def start_optimizer(self, objective: Objective) -> Optimizer:
         """Return a fresh optimizer that searches the space."""

@@ -77,10 +77,10 @@ class Tet(_TimeBelowThresholdMetric):
     Examples
     --------
     >>> import cornercase as cc
-    >>> recording = cc.simulate("examples/r157/cut_in.xosc")
-    >>> cc.measure(recording, "Ego", "Other", [cc.metrics.Tet()])
-    metric  score  unit  critical is
-    tet     60     s     high
+    >>> recording = cc.simulate("examples/r157/cut_out.xosc")
+    >>> cc.measure(recording, "Ego", "Other", [cc.metrics.Tet(threshold=3.0)])
+    metric             score  unit  critical is
+    tet:threshold=3.0  2.208  s     high
     """
 
     name = "tet"
@@ -116,10 +116,10 @@ class Tit(_TimeBelowThresholdMetric):
     Examples
     --------
     >>> import cornercase as cc
-    >>> recording = cc.simulate("examples/r157/cut_in.xosc")
-    >>> cc.measure(recording, "Ego", "Other", [cc.metrics.Tit()])
-    metric  score  unit  critical is
-    tit     60     s²    high
+    >>> recording = cc.simulate("examples/r157/cut_out.xosc")
+    >>> cc.measure(recording, "Ego", "Other", [cc.metrics.Tit(threshold=3.0)])
+    metric             score  unit  critical is
+    tit:threshold=3.0  1.804  s²    high
     """
 
     name = "tit"

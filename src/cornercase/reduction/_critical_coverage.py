@@ -87,7 +87,7 @@ def measure_critical_coverage(
     boundary if any of the 2 d scenarios nearest to it is not critical. Scenarios that were not run are predicted by two
     Gaussian processes over the parameter space. The first predicts the scores, the second the distance of critical
     scenarios to the nearest selected one. Both are calibrated by leave-one-out as in `CriticalSet`. The second uses at
-    most 512 scenarios, evenly spaced, with which it is exact; with more, intervals would be narrower.
+    most 512 scenarios, drawn at random, with which it is exact; with more, intervals would be narrower.
     `random_distances` are those of the critical scenarios to random selections, by default those in
     `nearest_distances`.
     """
@@ -104,8 +104,9 @@ def measure_critical_coverage(
         all_critical = critical_set or CriticalSet(space, points, scores, criterion, seed)
         is_unlike = Criterion(similar_distance, lower_is_critical=False)
         index = np.flatnonzero(critical)
-        count = min(len(index), _MAX_DISTANCES)
-        index = index[np.linspace(0, len(index), count, endpoint=False).astype(np.int64)]
+        if len(index) > _MAX_DISTANCES:
+            # At random: evenly spaced ones of a Sobol' sequence or a grid may all lie in a part of the space.
+            index = np.sort(np.random.default_rng(seed).choice(index, _MAX_DISTANCES, replace=False))
         unlike = all_critical.fraction_inside(all_critical.of_other_scores(points[index], -distance[index], is_unlike))
     return CriticalCoverage(
         within=similar_distance,

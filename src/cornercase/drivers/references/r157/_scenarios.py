@@ -90,8 +90,8 @@ def drive_cut_in(
     --------
     >>> import numpy as np
     >>> from cornercase.drivers import drive_cut_in
-    >>> speeds, gaps = np.array([[20.0, 20.0], [15.0, 15.0]]), np.array([30.0, 5.0])
-    >>> drive_cut_in("cc-human", *speeds, gaps, np.array([1.0, 1.0])).crash
+    >>> ego, other, gap = np.full(2, 20.0), np.full(2, 15.0), np.array([30.0, 5.0])
+    >>> drive_cut_in("cc-human", ego, other, gap, lateral_speed=np.ones(2)).crash
     array([False,  True])
     """
     reference, n = REFERENCES[name], len(speed)
