@@ -16,7 +16,6 @@ import argparse
 import json
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -30,8 +29,8 @@ from cornercase.metrics import METRICS, compute_features, registered_features
 from cornercase.scenario import LogicalScenario
 from cornercase.simulators import Builtin
 from cornercase.study._criterion import Criterion
-from exploration import EXAMPLES, SEARCHES  # type: ignore[attr-defined]
-from peers import ActiveForest  # type: ignore[import-not-found]
+from exploration import EXAMPLES, SEARCHES, Case  # type: ignore[attr-defined]
+from peers import searched  # type: ignore[import-not-found]
 
 Floats = npt.NDArray[np.float64]
 KINDS: Final = ("sobol", "level-set", "auto", "forest-al", "optuna (TPE)")
@@ -49,27 +48,16 @@ DRIVER_RANGES: Final = (
 )
 
 
-@dataclass(frozen=True)
-class Case:
-    """A logical scenario, and what is critical in it."""
-
-    file: str
-    other: str
-    metric: str
-    critical: float
-    ranges: tuple[str, ...]
-    on_collision: str
-
-
 CASES: Final = {
     "x-intersection": Case(
         "x_intersection/x_intersection.xosc", "Pedestrian", "wttc", 0.25,
         ("ego_start=20:80", "pedestrian_wait=0:8", "p1_speed=5:12", "ego_speed=7:13", "pedestrian_speed=1:3",
-         "truck_speed=5:10"), "continue",
+         "truck_speed=5:10"), "normal", "continue",
     ),
     "t-intersection": Case(
         "t_intersection/t_intersection.xosc", "C", "ttc", 0.25,
-        ("ego_sync_s=2:17", "c_start_time=0:5", "c_routing_distance=0:80", "ego_speed=6:14", "c_speed=6:14"), "stop",
+        ("ego_sync_s=2:17", "c_start_time=0:5", "c_routing_distance=0:80", "ego_speed=6:14", "c_speed=6:14"), "normal",
+        "stop",
     ),
 }  # fmt: skip
 
@@ -88,7 +76,7 @@ class Judge:
     def run(self, points: Floats) -> tuple[Floats, Floats]:
         """Scores (n,) and features (n, f) of scenarios."""
         case, metric = self.case, METRICS.create(self.case.metric)
-        simulator = Builtin(drivers={"Ego": "normal"}, on_collision=case.on_collision)
+        simulator = Builtin(drivers={"Ego": case.driver}, on_collision=case.on_collision)
         scores, features = [], []
         for first in range(0, len(points), 500):
             values = self.space.values(points[first : first + 500])
@@ -122,10 +110,7 @@ class Judge:
 
 def search(judge: Judge, kind: str, seed: int, sizes: list[int]) -> Iterator[dict[str, float]]:
     """Run one search, and judge it at each size."""
-    if kind == "forest-al":
-        optimizer: Any = ActiveForest().start(judge.space, seed, threshold=judge.case.critical)
-    else:
-        optimizer = SEARCHES[kind](judge.space, seed, judge.case.critical, sizes[-1])
+    optimizer = searched(judge, kind, seed, sizes[-1])
     points, scores = np.zeros((0, judge.space.dimension)), np.zeros(0)
     features, spent = np.zeros((0, len(registered_features()))), 0.0
     for size in sizes:

@@ -86,8 +86,10 @@ def count_replies(
     if len(ids) > max_measured:
         ids = [ids[k] for k in np.linspace(0, len(ids) - 1, max_measured).round().astype(int)]
     replies = {
-        scenario: find_reply(study.recording(scenario), study.meta.ego, hit.entity, hit.time)
-        for scenario, hit in ((scenario, first_hits[scenario]) for scenario in ids)
+        scenario: find_reply(
+            study.recording(scenario), study.meta.ego, first_hits[scenario].entity, first_hits[scenario].time
+        )
+        for scenario in ids
     }
     known_replies = {scenario: reply for scenario, reply in replies.items() if reply is not None}
     return _count(len(first_hits), known_replies, EARLIER) if known_replies else None
