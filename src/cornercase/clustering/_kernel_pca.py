@@ -31,13 +31,11 @@ class KernelPca:
         n = len(kernel)
         self._fitted_kernel = kernel
         self.embedding, self.explained, self._pca = np.zeros((n, self._n_components)), 1.0, None
-        centred = kernel - kernel.mean(axis=0)
-        variance = float(np.trace(centred - centred.mean(axis=1)[:, None]))
+        # The trace of the centred kernel.
+        variance = float(np.trace(kernel) - n * kernel.mean()) if n else 0.0
         # Without variance there is no component.
         if n >= 2 and variance > 1e-12 * n:
-            self._pca, coordinates = _fit_kernel_pca(
-                kernel, centred - centred.mean(axis=1)[:, None], min(self._n_components, n)
-            )
+            self._pca, coordinates = _fit_kernel_pca(kernel, min(self._n_components, n))
             self.embedding[:, : coordinates.shape[1]] = coordinates
             self.explained = float(min(1.0, self._pca.eigenvalues_.sum() / variance))
         return self
@@ -62,16 +60,19 @@ class KernelPca:
     def _gaussian_kernel(self, distances: FloatArray) -> FloatArray:
         # The kernel of a distance whose square overflows is 0.
         with np.errstate(over="ignore"):
-            return np.asarray(np.exp(-self._gamma * distances**2))
+            exponents: FloatArray = distances * distances
+            exponents *= -self._gamma
+            return np.exp(exponents, out=exponents)
 
 
-def _fit_kernel_pca(kernel: FloatArray, centred_kernel: FloatArray, n_components: int) -> tuple[KernelPCA, FloatArray]:
+def _fit_kernel_pca(kernel: FloatArray, n_components: int) -> tuple[KernelPCA, FloatArray]:
     """Kernel PCA with `n_components` components, or with as many as have positive eigenvalues."""
     model = KernelPCA(n_components, kernel="precomputed", random_state=0)
     try:
         return model, model.fit_transform(kernel)
     except ValueError:
         # A kernel of DTW distances need not be positive definite; only axes with positive eigenvalues are usable.
-        values = eigvalsh(centred_kernel)
+        centred = kernel - kernel.mean(axis=0)
+        values = eigvalsh(centred - centred.mean(axis=1)[:, None])
         model = KernelPCA(max(1, int((values > 1e-9 * values[-1]).sum())), kernel="precomputed", random_state=0)
         return model, model.fit_transform(kernel)

@@ -47,15 +47,18 @@ class ProbitCalibration:
     ) -> None:
         a, log_b = (axis.ravel() for axis in np.meshgrid(*[np.linspace(-_REACH, _REACH, _STEPS)] * 2, indexing="ij"))
         slope, weight = np.exp(log_b), prediction_weight * min(1.0, (_FULL_WEIGHT_COUNT / max(len(t), 1)) ** 0.5)
-        with np.errstate(divide="ignore"):
-            log_rate, log_rest = np.log(_SURPRISE_RATES[:, None]), np.log1p(-_SURPRISE_RATES[:, None])
-        n_rates = len(_SURPRISE_RATES) - 1
+        rates, n_rates = _SURPRISE_RATES[1:, None], len(_SURPRISE_RATES) - 1
         prior = np.append(1.0 - p_surprises, np.full(n_rates, p_surprises / n_rates))
-        log_posterior = np.log(prior[:, None]) - 0.5 * (a**2 + log_b**2)
+        # Whatever the rate, the likelihood of outcomes that are not critical has the same factor.
+        common = -0.5 * (a**2 + log_b**2)
         for count, mean in _group_predictions(t[~critical]):
-            log_posterior += weight * count * (log_rest + log_ndtr(a + slope * mean))
+            common += weight * count * log_ndtr(a + slope * mean)
+        log_likelihood = np.log1p(-_SURPRISE_RATES[:, None]) * (weight * np.count_nonzero(~critical)) + common
         for count, mean in _group_predictions(t[critical]):
-            log_posterior += weight * count * np.logaddexp(log_rate, log_rest + log_ndtr(-(a + slope * mean)))
+            deviate = -(a + slope * mean)
+            log_likelihood[0] += weight * count * log_ndtr(deviate)
+            log_likelihood[1:] += weight * count * np.log(rates + (1.0 - rates) * ndtr(deviate))
+        log_posterior = np.log(prior[:, None]) + log_likelihood
         density = np.exp(log_posterior - log_posterior.max())
         self._a, self._b, self._rate = (
             np.broadcast_to(values, density.shape).ravel() for values in (a, slope, _SURPRISE_RATES[:, None])

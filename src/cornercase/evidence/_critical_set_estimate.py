@@ -36,7 +36,7 @@ from cornercase.scenario import ParameterSpace
 from cornercase.study._criterion import Criterion
 
 # Points for which critical sets are drawn jointly.
-_JOINT_POINTS: Final = 1500
+_JOINT_POINTS: Final = 1000
 # Added to the standard deviation of outcomes, so that some nearly certain points are sampled too.
 _MIN_DEVIATION: Final = 0.02
 # Scenarios chosen independently of scores, and critical ones among them, from which intervals are given. With fewer

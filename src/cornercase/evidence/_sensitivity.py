@@ -25,7 +25,7 @@ _SAMPLES: Final = 4096
 # Points at which the process is drawn for the intervals, and number of draws.
 _N_POINTS, _N_DRAWS = 2048, 200
 # Trees, greatest number of scenarios that they use, and samples for their indices.
-_N_TREES, _MAX_TREE_SCENARIOS, _TREE_SAMPLES = 100, 2000, 1024
+_N_TREES, _MAX_TREE_SCENARIOS, _TREE_SAMPLES = 100, 1000, 1024
 _INTERVAL: Final = (0.05, 0.95)
 LITTLE_INFLUENCE: Final = 0.05
 """Total index below which a parameter has little influence."""
@@ -162,7 +162,7 @@ def _sobol_indices(
 
 
 def _fit_trees(surrogate: ScoreSurrogate, seed: int) -> ExtraTreesRegressor:
-    """Fit extremely randomised trees to the scores that the process was fitted to, or to 2,000 of very many.
+    """Fit extremely randomised trees to the scores that the process was fitted to, or to 1,000 of very many.
 
     Source: P. Geurts, D. Ernst, L. Wehenkel, "Extremely randomized trees", Machine Learning 63 (2006).
     """

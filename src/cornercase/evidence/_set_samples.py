@@ -58,15 +58,15 @@ class SetSamples:
     @cached_property
     def _probability_bins(self) -> tuple[IntArray, FloatArray]:
         """Bin of each point by its prediction `z`, and the probability of being critical by bin and draw."""
-        order = np.argsort(self._z[self._known_outcome == 0.0], kind="stable")
-        bins = [
-            part for part in np.array_split(np.flatnonzero(self._known_outcome == 0.0)[order], _N_BINS) if len(part)
-        ]
+        undecided = np.flatnonzero(self._known_outcome == 0.0)
+        undecided = undecided[np.argsort(self._z[undecided], kind="stable")]
+        n_bins = min(_N_BINS, len(undecided))
+        starts = np.arange(n_bins) * len(undecided) // max(n_bins, 1)
+        sizes = np.diff(starts, append=len(undecided))
         # The last two bins hold the scenarios that were run: those that are not critical, then the critical ones.
-        bin_of = np.where(self._known_outcome > 0.0, len(bins) + 1, len(bins))
-        for k, members in enumerate(bins):
-            bin_of[members] = k
-        middle = np.array([self._z[members].mean() for members in bins])
+        bin_of = np.where(self._known_outcome > 0.0, n_bins + 1, n_bins)
+        bin_of[undecided] = np.repeat(np.arange(n_bins), sizes)
+        middle = np.add.reduceat(self._z[undecided], starts) / sizes if n_bins else np.zeros(0)
         probability = self._rate + (1.0 - self._rate) * ndtr(-(self._a + self._b * middle[:, None]))
         return bin_of, np.concatenate([probability, np.zeros((1, N_DRAWS)), np.ones((1, N_DRAWS))])
 

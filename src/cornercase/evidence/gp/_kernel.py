@@ -22,6 +22,8 @@ _VALUES_PER_DIMENSION, _MIN_VALUES, _MAX_VALUES = 40, 160, 400
 # Prior of the length scales for one dimension: median and standard deviation of the logarithm. Distances in a cube grow
 # with the root of its dimension; so must the length scales, or a process of many dimensions knows only its values.
 _PRIOR_MEDIAN, _PRIOR_SPREAD = 0.5, 0.7
+# Columns of a symmetric covariance that are computed together, down from the diagonal.
+_BLOCK_SIZE = 256
 _LENGTH_SCALE_BOUNDS, _SIGNAL_BOUNDS, _MIN_NOISE = (1e-2, 10.0), (1e-2, 30.0), 1e-4
 
 
@@ -39,6 +41,15 @@ class MaternKernel:
     def covariance(self, a: FloatArray, b: FloatArray) -> FloatArray:
         """Covariance of the process, without noise, between points a (n, e) and points b (m, e), (n, m)."""
         return np.asarray(self._scaled_covariance(a / self.length_scales, b / self.length_scales), dtype=np.float64)
+
+    def covariance_lower_half(self, points: FloatArray) -> FloatArray:
+        """Covariance between points (n, e) as by `covariance`; most entries above the diagonal are 0."""
+        scaled = points / self.length_scales
+        covariance = np.zeros((len(points), len(points)), order="F")
+        for first in range(0, len(points), _BLOCK_SIZE):
+            block = slice(first, first + _BLOCK_SIZE)
+            covariance[first:, block] = self._scaled_covariance(scaled[block], scaled[first:]).T
+        return covariance
 
     def covariance_in_single_precision(self, a: FloatArray, b: FloatArray) -> Floats:
         """Same as `covariance`, in single precision."""

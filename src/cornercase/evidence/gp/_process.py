@@ -358,8 +358,8 @@ class GaussianProcess:
         If `with_noise`, both include the noise of single values.
         """
         cross = self.kernel.covariance(points, self._posterior.points)
-        covariance = self.kernel.covariance(points, points)
         # The lower half is enough for the factor.
+        covariance = self.kernel.covariance_lower_half(points)
         covariance -= gram_lower_half(multiply_by_lower_transposed(cross, self._posterior.inverse_factor))
         if with_noise:
             covariance[np.diag_indices(len(points))] += self.kernel.noise**2
