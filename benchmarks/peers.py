@@ -11,15 +11,18 @@ its runs takes for critical:
 - ``features``: the committee with features, on the runs of every search;
 - ``parameters``: of the process and a random forest of the parameters, the one with the least log loss in five folds.
 
-``forest-al`` is a peer in a few lines: extremely randomised trees on the parameters, asked where p (1 - p) times the
-distance to what was run is largest. Rounds are of ten. Results are written to --json as they come, and what is there
-already is not run again.
+Peers: ``forest-al``, a few lines: extremely randomised trees on the parameters, asked where p (1 - p) times the
+distance to what was run is largest; ``optuna (TPE)`` by Optuna; ``evolutionary`` by pymoo; ``verifai-ce`` (cross
+entropy) and ``verifai-mab`` (multi-armed bandit) by VerifAI with its own settings, if it is installed (``pip install
+verifai``, in an environment of its own). Rounds are of ten. Results are written to --json as they come, and what is
+there already is not run again.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import random
 import time
 from collections.abc import Iterable
 from pathlib import Path
@@ -41,6 +44,7 @@ from judging import best_classifier  # type: ignore[import-not-found]
 
 Floats = npt.NDArray[np.float64]
 KINDS = ("sobol", "bayes", "level-set", "committee", "auto", "forest-al")
+VERIFAI = {"verifai-ce": "crossEntropySamplerFor", "verifai-mab": "multiArmedBanditSamplerFor"}
 JUDGES = ("own", "features", "parameters")
 ROUND, INITIAL, TREES, CANDIDATES, FILLING, WIDTH = 10, 24, 100, 4096, 0.2, 0.1
 
@@ -89,8 +93,50 @@ class ActiveForest(Optimizer):
         return np.concatenate([candidates[chosen], first])
 
 
+class VerifaiSearch(Optimizer):
+    """A sampler of VerifAI in the unit cube; a scenario that it proposes again is run again."""
+
+    requires = frozenset({"threshold"})
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+
+    def prepare(self, space: Any, seed: int, *further: Any, **required: Any) -> None:
+        """Prepare the search of a space."""
+        from verifai.features import Box, Feature, FeatureSpace  # type: ignore[import-not-found]
+        from verifai.samplers import FeatureSampler  # type: ignore[import-not-found]
+
+        # Its samplers draw from the generators of NumPy and Python.
+        np.random.seed(seed)  # noqa: NPY002
+        random.seed(seed)
+        self._space, self._threshold = space, required["threshold"]
+        cube = FeatureSpace({"point": Feature(Box(*[(0.0, 1.0)] * space.dimension))})
+        self._sampler = getattr(FeatureSampler, VERIFAI[self.name])(cube)
+        self._asked: list[Any] = []
+
+    def tell(self, points: Floats, scores: Floats) -> None:
+        """Observe the scores of one round."""
+        for (sample, info), score in zip(self._asked, scores, strict=True):
+            # Beyond the threshold is below 0, as VerifAI wants it; a failed scenario is not critical.
+            self._sampler.update(sample, info, float(np.nan_to_num(score - self._threshold, nan=1e3)))
+
+    def ask(self, n: int) -> Floats:
+        """Propose n points."""
+        points: list[Floats] = []
+        self._asked = []
+        while len(points) < n:
+            sample, info = self._sampler.getSample()
+            point = self._space.snap(np.array([sample.point]))
+            if self._space.is_admissible(point)[0]:
+                points.append(point)
+                self._asked.append((sample, info))
+        return np.concatenate(points)
+
+
 def searched(judge: Judge, kind: str, seed: int, budget: int) -> Any:
     critical = judge.case.critical
+    if kind in VERIFAI:
+        return VerifaiSearch(kind).start(judge.space, seed, threshold=critical)
     if kind == "forest-al":
         return ActiveForest().start(judge.space, seed, threshold=critical)
     return SEARCHES[kind](judge.space, seed, critical, budget)
@@ -106,7 +152,8 @@ def judged(judge: Judge, kind: str, seed: int, points: Floats) -> dict[str, floa
     """F1 by each judge, and the share of the regions that were met."""
     places = judge.places(points)
     met = len(set(judge.regions[places]) & judge.large) / max(len(judge.large), 1)
-    row: dict[str, float] = {"hits": float(judge.true[places].sum()), "regions": met} | dict.fromkeys(JUDGES, 0.0)
+    hits = float(judge.true[np.unique(places)].sum())
+    row: dict[str, float] = {"hits": hits, "regions": met} | dict.fromkeys(JUDGES, 0.0)
     at = places[np.isfinite(judge.scores[places])]
     if not 0 < judge.true[at].sum() < len(at):
         return row
@@ -160,7 +207,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--half", choices=("choose", "judge"), default="judge")
     parser.add_argument("--only", action="append", choices=CASES, help="only this scenario; may be repeated")
-    parser.add_argument("--search", action="append", choices=(*SEARCHES, "forest-al"), help="may be repeated")
+    parser.add_argument("--search", action="append", choices=(*SEARCHES, "forest-al", *VERIFAI), help="may be repeated")
     parser.add_argument("--sizes", type=int, nargs="+", default=[100, 200])
     parser.add_argument("--steps", type=int, default=16)
     parser.add_argument("--seeds", type=int, default=3)
