@@ -182,3 +182,51 @@ def test_notices_name_the_line_of_the_user_and_come_once(problem, tmp_path):
     with pytest.warns(cc.NoticeWarning) as of_run:
         cc.Suite.open(tmp_path / "reduced").run()
     assert {notice.filename for notice in of_run} == {__file__}
+
+
+@pytest.mark.parametrize(
+    ("driver", "name"),
+    [
+        (cc.drivers.BehaviourDriver(cc.drivers.CAUTIOUS), "cautious"),
+        (cc.drivers.DRIVERS.create("normal:horizon=4"), "normal:horizon=4.0"),
+        (cc.drivers.ReferenceDriver("cc-human"), "cc-human:delay=0.75"),
+        (
+            cc.drivers.EquippedDriver(cc.drivers.SimpleDriver(), [cc.drivers.Radar()], cc.drivers.SingleTrack()),
+            "simple + radar + single-track",
+        ),
+    ],
+)
+def test_a_driver_that_a_name_makes_goes_on_without_the_object(problem, tmp_path, driver, name):
+    made = Builtin(drivers={"Ego": driver})
+    assert made.settings["drivers"] == {"Ego": name}
+    cc.Study.create(tmp_path / "s.db", problem, made).explore("sobol", budget=2)
+    assert cc.Study.open(tmp_path / "s.db").explore(budget=3).n_finished == 3
+    again = cc.Study.open(tmp_path / "s.db", Builtin(drivers={"Ego": name}))
+    assert again.explore(budget=4).n_finished == 4
+
+
+def test_a_driver_of_ones_own_class_has_no_name():
+    class Mine(cc.drivers.BehaviourDriver):
+        pass
+
+    assert Builtin(drivers={"Ego": Mine(cc.drivers.CAUTIOUS)}).settings["drivers"]["Ego"]["driver"].endswith("Mine")
+
+
+def test_other_options_of_runs_leave_the_repeats_of_a_study(problem, tmp_path):
+    study = cc.Study.create(tmp_path / "s.db", problem)
+    study.explore("sobol", budget=2, runs=cc.Runs(repeats=2, max_repeats=6))
+    assert study.explore(budget=3, runs=cc.Runs(timeout=30.0)).n_finished == 3
+    assert study.explore(budget=4, runs=cc.Runs(workers=1)).n_finished == 4
+
+
+def test_a_study_whose_file_is_gone_still_shows_itself(problem, tmp_path):
+    cc.Study.create(tmp_path / "s.db", problem).explore("sobol", budget=2)
+    study = cc.Study.open(tmp_path / "s.db")
+    (tmp_path / "s.db").rename(tmp_path / "moved.db")
+    assert "there is no such study" in repr(study)
+    assert "there is no such study" in study._repr_html_()
+
+
+def test_a_number_of_the_file_is_not_taken_for_an_option_of_a_driver():
+    with pytest.raises(cc.InputError, match="is a number of the file, and no parameter; make it one with"):
+        cc.LogicalScenario.read(X, SPACE).vary("Pedestrian.initial.y", 3, 9)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cornercase._common.errors import InputError
-from cornercase.metrics import CriticalIf, Expression, measure
+from cornercase.metrics import METRICS, CriticalIf, Expression, measure
 from cornercase.metrics._critical_if import find_critical_if_condition
 from cornercase.metrics._measure import evaluate_metrics
 from helpers.two_cars import met
@@ -159,3 +159,12 @@ def test_a_bound_at_the_cap_of_its_metric_is_critical_where_it_holds_alone(bound
     near, nearer = (CriticalIf.from_text(bound).evaluate(run(gap), "Ego", "Other") for gap in (3.0, 2.0))
     if bound.startswith(("ttc", "clearance", "thw")):
         assert nearer.score({}) < near.score({}) < 0.0
+
+
+@pytest.mark.parametrize("signal", ["ego.lateral_acceleration", "lateral acceleration", "other.lateral_acceleration"])
+def test_a_condition_knows_the_signals_that_formulas_know(signal):
+    recording = run(3.0)
+    (condition,) = evaluate_metrics([CriticalIf(f"always({signal} < 3)")], recording, "Ego", ["Other"]).values()
+    (formula,) = evaluate_metrics([METRICS.create(f"stl:{signal} >= 3")], recording, "Ego", ["Other"]).values()
+    assert condition.score == pytest.approx(-3.0)
+    assert condition.score <= 0.0 < formula.score or formula.score < 0.0

@@ -281,6 +281,39 @@ def test_the_name_of_an_entity_is_quoted_if_it_has_to_be(name):
     assert Expression.parse(quoted.text) == quoted
 
 
+@pytest.mark.parametrize(
+    ("text", "meant"),
+    [
+        ("(no collision with C) until[0:9] (wttc < 0.3)", '(no collision with "C") until[0:9] (wttc < 0.3)'),
+        ("no collision with C unless cautious collides", 'no collision with "C" unless cautious collides'),
+        ("collision with C->wttc < 1", 'collision with "C" -> (wttc < 1)'),
+        ("collision with C and(wttc < 1)", 'collision with "C" and (wttc < 1)'),
+    ],
+)
+def test_a_name_ends_where_an_operator_begins(text, meant):
+    read = Expression.parse(text)
+    assert read == Expression.parse(meant)
+    assert Expression.parse(read.text) == read
+
+
+@pytest.mark.parametrize(("operator", "right"), [("AND", "did you mean 'and'"), ("&&", "write and for &&")])
+def test_an_operator_of_another_language_behind_a_name_is_no_part_of_it(operator, right):
+    with pytest.raises(InputError, match=right):
+        Expression.parse(f"collision with C {operator} ttc < 1")
+
+
+@pytest.mark.parametrize("text", [3, None, b"ttc < 1", ["ttc < 1"]])
+def test_what_is_no_text_is_refused(text):
+    with pytest.raises(InputError, match="give a text"):
+        Expression.parse(text)
+
+
+def test_a_verdict_on_a_score_names_no_instant():
+    run = Run([1.0] * COUNT, [3.0] * COUNT, [5.0] * COUNT, 3, {})
+    found = judge(Requirement.parse("score(clearance) > 2"), run.recording, "Ego", "Other")
+    assert (found.state, found.reason) == ("failed", "score(clearance) is 0 m, which is compared with 2 m")
+
+
 @pytest.mark.parametrize("text", [
     "(" * 100_000, "not " * 20_000, "ttc > 1 -> " * 900 + "ttc > 1", "always(" * 900, "ttc > " + "9" * 9000, "", " \n\t ",
     "x" * 100_000, "-" * 9000, '"' * 9000, "no collision with " + "(" * 9000, "reference:" + ":" * 9000, "\x00", "\ud800",

@@ -331,7 +331,7 @@ class Study(PathLike[str]):
         optimizer : Optimizer or str, optional
             Optimizer of `cornercase.optimizers`, or its name with options after a colon: ``"level-set:filling=0.1"``.
             By default ``Auto()``, or ``Bayes()`` if no threshold or condition says what is critical. If the study was
-            searched before, this and all other settings default to those of that search.
+            searched before, this and all other settings but `stop` default to those of that search.
         budget : int, optional
             Number of scenarios in total, including those that were run before; 200 by default.
         stop : StopRule or str, or sequence of these
@@ -1064,12 +1064,16 @@ class Study(PathLike[str]):
         if self._problem is not None and not self.path.exists():
             simulator = self._simulator if isinstance(self._simulator, str) else repr(self._simulator)
             return f"<Study {str(self.path)!r}: {self._problem!r} in {simulator}; no scenario was run yet>"
-        with self._read() as file:
-            return repr(file)
+        try:
+            with self._read() as file:
+                return repr(file)
+        except InputError as error:
+            # Debuggers and notebooks show an object whatever became of its file.
+            return f"<Study {str(self.path)!r}: {error}>"
 
     def _repr_html_(self) -> str:
         """Description of the study and its most critical scenarios, for notebooks."""
-        if self._problem is not None and not self.path.exists():
+        if not self.path.exists():
             return render_html(repr(self))
         with self._read() as file, file.snapshot():
             table = _table_with_critical(file)

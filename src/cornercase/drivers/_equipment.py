@@ -25,6 +25,11 @@ class EquippedDriver(Driver):
     vehicle : VehicleModel, optional
         Without one, the vehicle does at once what the driver decides.
 
+    Raises
+    ------
+    InputError
+        `driver` is a name.
+
     Examples
     --------
     >>> from cornercase.drivers import DRIVERS, EquippedDriver
@@ -35,6 +40,8 @@ class EquippedDriver(Driver):
     def __init__(
         self, driver: Driver | SystemUnderTest, sensors: Sequence[Sensor] = (), vehicle: VehicleModel | None = None
     ) -> None:
+        if isinstance(driver, str):
+            raise InputError(f"`driver` {driver}: give a driver, as in EquippedDriver(DRIVERS.create({driver!r})).")
         self.driver: Driver = ScalarFunction(driver) if isinstance(driver, SystemUnderTest) else driver
         self.sensors, self.vehicle = tuple(sensors), vehicle
         self.settings = {

@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from types import ModuleType
 from typing import Protocol, TypeAlias, TypeGuard, runtime_checkable
 
 from cornercase._common.current_folder import import_from_current_folder
 from cornercase._common.errors import InputError, suggest_name
-from cornercase._common.plugin_errors import reraise_termination_request
+from cornercase._common.plugin_errors import is_built_in, reraise_termination_request
 from cornercase._common.process.signals import collect_interrupts, count_requests
 from cornercase._common.registry import check_options, parse_options
 from cornercase._common.text.sanitize import format_exception
 from cornercase._common.typing import FloatArray
 from cornercase._common.validation import check_mapping, repr_short
 from cornercase.drivers._base import Driver, Situation
-from cornercase.drivers._description import record_driver_spec
+from cornercase.drivers._description import driver_command_option, record_driver_spec, serialize_driver
 from cornercase.drivers._equipment import EquippedDriver, equip
 from cornercase.drivers._function import DrivingFunction
 from cornercase.drivers._missing_prefix import suggest_prefix
@@ -52,7 +53,8 @@ def is_driver(candidate: object) -> TypeGuard[Driver]:
 def check_drivers(drivers: object) -> dict[str, str | Driver]:
     """Return drivers by entity, each as a name or a driver; `InputError` for an unknown name and for anything else.
 
-    A `Behaviour` becomes the name of its preset, with options. The module of a user's own driver is not imported.
+    A `Behaviour` becomes the name of its preset, with options, as does an object that is equal to what a name makes: so
+    a study of it can be continued without the object. The module of a user's own driver is not imported.
     """
     if drivers is not None and not isinstance(drivers, Mapping):
         raise InputError(
@@ -69,7 +71,7 @@ def _check_driver(entity: str, driver: object) -> str | Driver:
             return resolve_driver(driver)
         return driver
     if is_driver(driver):
-        return driver
+        return _equal_name(driver) or driver
     if isinstance(driver, type):
         raise InputError(
             f"`drivers` {entity}: {driver.__name__} is a class; give an object of it, as in"
@@ -257,6 +259,20 @@ def resolve_driver(driver: DriverLike) -> str | Driver:
             return driver
         record_driver_spec(created, driver, {})
     return created
+
+
+def _equal_name(driver: Driver) -> str:
+    """Name, with options, that makes an equal driver; empty if there is none, or not all of it is cornercase's own."""
+    parts = (driver.driver, *driver.equipment) if isinstance(driver, EquippedDriver) else (driver,)
+    if not all(map(is_built_in, parts)):
+        return ""
+    description = serialize_driver(driver)
+    name = driver_command_option(description)
+    if name is None or not is_registered_driver(name) or find_non_numeric_option(name) is not None:
+        return ""
+    with suppress(InputError):
+        return name if serialize_driver(driver_by_name(name)) == description else ""
+    return ""
 
 
 def may_steer(driver: str | Driver) -> bool:

@@ -60,9 +60,10 @@ class Problem:
     threshold : float, optional
         Score from which a scenario is critical, in the unit of the objective. Default: the metric's own.
     condition : str, optional
-        Condition that replaces metric and threshold, and is searched: ``"collision and not reference:cc-human"``. It
-        consists of ``collision`` (of the ego with anybody), ``reference:NAME`` (the ego would also collide if this
-        driver drove it), bounds on scores such as ``ttc < 1``, ``and``, ``or``, ``not`` and brackets.
+        Condition that replaces metric and threshold, and is searched: ``"collision and not reference:cc-human"``, where
+        ``reference:NAME`` says that the ego would also collide if this driver drove it. An expression of the same
+        language as formulas and requirements; outside of temporal operators, a bound such as ``ttc < 1`` is on the
+        score.
     weights : mapping of str to float, optional
         By metric, above 0: search the minimum of the weighted sum of the scores. A score that is critical when high is
         subtracted; its weight is positive, too.

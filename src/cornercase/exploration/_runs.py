@@ -44,7 +44,7 @@ class Runs(RunOptions):
             option.check(getattr(self, name))
 
     def __repr__(self) -> str:
-        changed = [f"{name}={value!r}" for name, value in vars(self).items() if value != getattr(Runs, name)]
+        changed = [f"{name}={value!r}" for name, value in run_settings(self).items()]
         return f"Runs({', '.join(changed)})"
 
 
@@ -52,12 +52,15 @@ Runs.__init__ = suggest_arguments(Runs.__init__)  # type: ignore[method-assign]
 
 
 def run_settings(runs: Runs | None) -> dict[str, Any]:
-    """Return the settings of `runs` by name; none of None. `InputError` for anything else."""
+    """Return the settings of `runs` that are not the default by name; none of None. `InputError` for anything else.
+
+    A study that goes on keeps its own settings where the default is given.
+    """
     if runs is None:
         return {}
     if not isinstance(runs, Runs):
         raise not_an_object("runs", runs, "give them as in Runs(workers=4)")
-    return dict(vars(runs))
+    return {name: value for name, value in vars(runs).items() if value != getattr(Runs, name)}
 
 
 def single_run_settings(runs: Runs | None, user: str) -> dict[str, Any]:
@@ -65,7 +68,7 @@ def single_run_settings(runs: Runs | None, user: str) -> dict[str, Any]:
 
     Raises `InputError`, which names the function by `user`, if runs are to be repeated.
     """
-    settings = run_settings(Runs() if runs is None else runs)
-    if settings.pop("repeats") != 1 or settings.pop("max_repeats") not in (None, 1):
+    settings = run_settings(runs)
+    if settings.pop("repeats", 1) != 1 or settings.pop("max_repeats", 1) != 1:
         raise InputError(f"`runs`: {user} runs each scenario once; leave out `repeats` and `max_repeats`.")
     return settings

@@ -15,7 +15,7 @@ from cornercase.metrics._distance import Clearance
 from cornercase.metrics._evaluation import Evaluation, evaluate_run
 from cornercase.metrics._expression import DEFAULT_CAP, Expression
 from cornercase.metrics._registry import METRICS
-from cornercase.metrics.expressions._ast import EgoCollides
+from cornercase.metrics.expressions._ast import Bound, EgoCollides
 from cornercase.metrics.expressions._recorded_signals import (
     CONDITION_METRIC,
     SCORE_PREFIX,
@@ -96,8 +96,8 @@ class CriticalIf(Metric):
 
     def check_installed(self) -> None:
         raise InputError(
-            f"The metric '{self.name}' needs runs of reference drivers, which only `explore` makes; pass its condition"
-            " to `explore` with `critical_if`."
+            f"The metric '{self.name}' is what a search for its condition stores; give the condition to a search as"
+            " `critical_if`, or measure a formula: 'stl:…'."
         )
 
     def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
@@ -106,7 +106,11 @@ class CriticalIf(Metric):
         courses = {name: metric.course(recording, ego, other) for name, metric in parts.items()}
         scores = {f"{SCORE_PREFIX}{name})": parts[name].clip_course(course) for name, course in courses.items()}
         signals = signals_from_recording(recording, ego, other, courses)
-        signals = Signals(recording.time, {**signals.values, **scores}, recording, ego, (other,))
+        # Some signals are computed only when they are asked for.
+        bounds = [leaf for leaf in self.condition.leaves if isinstance(leaf, Bound)]
+        others = {signal.name for bound in bounds for signal in bound.signals if signal.name not in scores}
+        values = {**signals.values, **{name: signals.values[name] for name in others}, **scores}
+        signals = Signals(recording.time, values, recording, ego, (other,))
         distance = 0.0 - Evaluation.from_signals(self.condition.root, signals).robustness_at_instants()
         defined = [~np.isnan(course) for course in courses.values()]
         if any(isinstance(leaf, EgoCollides) for leaf in self.condition.leaves):

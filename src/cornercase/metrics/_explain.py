@@ -86,6 +86,10 @@ def _explain_bound(bound: Bound, evaluation: Evaluation, failed: bool) -> Reason
     worst = int(np.nanargmin(margin))
     at, value = float(signals.time[worst]), float(values[worst])
     lower = bound.is_lower
+    if all(signal.is_score for signal in bound.signals):
+        # A score is one number for the whole run.
+        compared = f", which is compared with {bound.describe_right_side(signals, worst)}" if failed else ""
+        return Reason(f"{bound.left.text} is {bound.left.format_value(value)}{compared}", value=value)
     if not failed and np.isinf(value):
         return Reason(f"{bound.left.text} is infinite throughout")
     if not failed:

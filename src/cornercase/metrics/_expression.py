@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from cornercase._common.errors import ExpressionError as ExpressionError
 from cornercase._common.typing import FloatArray
+from cornercase._common.validation import check_str
 from cornercase.metrics._evaluation import Evaluation
 from cornercase.metrics._registry import METRICS
 from cornercase.metrics.expressions._ast import (
@@ -80,9 +81,9 @@ class Expression:
         Raises
         ------
         InputError
-            The text is no expression; the message marks the position and says what to write there.
+            The text is no expression, or no text; the message marks the position and says what to write there.
         """
-        root = parse_expression(text, language)
+        root = parse_expression(text if isinstance(text, str) else check_str("text", text), language)
         return cls(root, format_node(root, as_condition=language == "condition"))
 
     def __str__(self) -> str:

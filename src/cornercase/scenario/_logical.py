@@ -21,6 +21,7 @@ from cornercase.scenario._road_choices import add_varied_roads
 from cornercase.scenario._scope import Scope
 from cornercase.scenario._space import ParameterSpace
 from cornercase.scenario._types import convert_to_type, find_type_errors
+from cornercase.scenario._variables import list_variables
 from cornercase.scenario._xml import XmlFileCache
 
 _OWN_SIMULATOR_HINT: Final = (
@@ -252,7 +253,7 @@ class LogicalScenario:
         Raises
         ------
         InputError
-            The scenario does not declare the parameter, or the range is invalid.
+            The name is that of a number of the file that is no parameter, or the range is invalid.
 
         See Also
         --------
@@ -272,7 +273,14 @@ class LogicalScenario:
         if step is not None:
             step = check_float("step", step, above=0.0)
             location += f", `step` {step:g}"
-        varied = create_range(check_str("name", name), low, high, step, location, may_be_fixed=True)
+        if "." in check_str("name", name) and any(
+            variable.name == name and not variable.is_declared for variable in list_variables(self.scenario_file)
+        ):
+            raise InputError(
+                f"`name` {name}: is a number of the file, and no parameter; make it one with"
+                f" `cornercase.scenario.vary({str(self.path)!r}, ['{name}={low:g}:{high:g}'], 'varied.xosc')`."
+            )
+        varied = create_range(name, low, high, step, location, may_be_fixed=True)
         return self._from_space(self.scenario_file, self.space.with_parameters([varied]))
 
     def concrete_scenario(self, values: Mapping[str, Value], seed: int = 0) -> ConcreteScenario:

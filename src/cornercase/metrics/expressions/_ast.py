@@ -17,7 +17,9 @@ Relation = Literal["<", "<=", ">", ">="]
 Operator = Literal["no", "unless", "not", "and", "or", "->", "always", "eventually", "until"]
 
 TEMPORAL: Final = frozenset({"always", "eventually", "until"})
-_PART_OF_NAME: Final = r"(?!(?:and|or|until|->)(?:[\s)]|$))(?:\([^()]*\)|[^\s()])+"
+# A name ends where an operator begins, whatever the case in which it is written.
+_AFTER_NAME: Final = r"(?:(?i:and|or|until|unless)(?=[\s()\[]|$)|->|&&|\|\|)"
+_PART_OF_NAME: Final = rf"(?!{_AFTER_NAME})(?:\([^()]*\)|(?!->)[^\s()<>])+"
 ENTITY_NAME: Final = rf'(?!"){_PART_OF_NAME}(?:\s+{_PART_OF_NAME})*'
 """Pattern of the names of entities that need no quotes."""
 
