@@ -36,6 +36,17 @@ class ExpressionError(InputError):
     Attributes
     ----------
     excerpt : str
+
+    Examples
+    --------
+    >>> from cornercase.metrics import Expression, ExpressionError
+    >>> try:
+    ...     Expression.parse("ttc > 1.5 m")
+    ... except ExpressionError as error:
+    ...     print(error)
+    The formula cannot be read: ttc is in s: the unit 'm' does not fit; give s, ms, min.
+        ttc > 1.5 m
+                  ^
     """
 
     def __init__(self, sentence: str, excerpt: str = "") -> None:
