@@ -67,6 +67,14 @@ class UserCodeError(InputError):
     """The user's own code raised an exception, which is the `__cause__` of this one.
 
     The message names the part, such as the optimizer or the metric, and the exception.
+
+    Examples
+    --------
+    >>> from cornercase.exploration import UserCodeError
+    >>> try:  # doctest: +SKIP
+    ...     study.explore(MySearch(), budget=100)
+    ... except UserCodeError as error:
+    ...     print(repr(error.__cause__))
     """
 
 

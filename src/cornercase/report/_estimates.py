@@ -201,10 +201,10 @@ class AuditEstimates:
 
     Examples
     --------
+    Of a study that was explored with ``audit=0.3``:
+
     >>> import cornercase as cc
-    >>> study = cc.Study.open("study.db")  # doctest: +SKIP
-    >>> _ = study.explore("level-set", budget=100, audit=0.3)  # doctest: +SKIP
-    >>> audits = study.critical_set().audits  # doctest: +SKIP
+    >>> audits = cc.Study.open("study.db").critical_set().audits  # doctest: +SKIP
     >>> audits.n_scenarios, audits.n_critical, round(audits.critical_fraction.high, 2)  # doctest: +SKIP
     (30, 5, 0.32)
     """

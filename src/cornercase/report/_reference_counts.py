@@ -26,6 +26,8 @@ class ReferenceCount:
 
     Examples
     --------
+    Of a study with the condition ``collision and not reference:cc-human``:
+
     >>> import cornercase as cc
     >>> human = cc.summarize("study.db").references["cc-human"]  # doctest: +SKIP
     >>> print(f"cc-human avoids {human.n_prevented} of {human.n_scenarios} collisions")  # doctest: +SKIP
