@@ -20,6 +20,15 @@ class InputError(ValueError):
     The message is one sentence that names the file, the element and the fix. It puts a parameter of a public function
     between backticks (```stop_when```), which the command line replaces by its option (``--stop-when``). The command
     line prints the message and exits with code 2.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> try:
+    ...     cc.simulate("examples/r157/cut_in.xosc", {"gaps": 20.0})
+    ... except cc.InputError as error:
+    ...     print(error)
+    examples/r157/cut_in.xosc: declares no parameter 'gaps'; did you mean 'gap'?
     """
 
 
@@ -36,6 +45,17 @@ class ExpressionError(InputError):
     Attributes
     ----------
     excerpt : str
+
+    Examples
+    --------
+    >>> from cornercase.metrics import Expression, ExpressionError
+    >>> try:
+    ...     Expression.parse("ttc > 1.5 m")
+    ... except ExpressionError as error:
+    ...     print(error)
+    The formula cannot be read: ttc is in s: the unit 'm' does not fit; give s, ms, min.
+        ttc > 1.5 m
+                  ^
     """
 
     def __init__(self, sentence: str, excerpt: str = "") -> None:
@@ -47,15 +67,55 @@ class UserCodeError(InputError):
     """The user's own code raised an exception, which is the `__cause__` of this one.
 
     The message names the part, such as the optimizer or the metric, and the exception.
+
+    Examples
+    --------
+    >>> from cornercase.exploration import UserCodeError
+    >>> try:  # doctest: +SKIP
+    ...     study.explore(MySearch(), budget=100)
+    ... except UserCodeError as error:
+    ...     print(repr(error.__cause__))
     """
 
 
 class SimulationError(RuntimeError):
-    """One concrete scenario could not be run; the others of its batch are not affected."""
+    """One concrete scenario could not be run; the others of its batch are not affected.
+
+    Examples
+    --------
+    A simulator of one's own yields it in place of a recording:
+
+    >>> import cornercase as cc
+    >>> class WithoutRain(cc.Simulator):
+    ...     settings = {}
+    ...
+    ...     def run(self, concretes):
+    ...         yield from (cc.SimulationError("rain is not simulated") for concrete in concretes)
+    >>> cc.simulate("examples/r157/cut_in.xosc", simulator=WithoutRain())
+    Traceback (most recent call last):
+        ...
+    cornercase._common.errors.InputError: examples/r157/cut_in.xosc: rain is not simulated.
+    """
 
 
 class SimulatorError(SimulationError):
-    """The simulator failed, not the scenario; the same scenario may be run again."""
+    """The simulator failed, not the scenario; the same scenario may be run again.
+
+    Examples
+    --------
+    A simulator of one's own yields it in place of a recording:
+
+    >>> import cornercase as cc
+    >>> class Remote(cc.Simulator):
+    ...     settings = {}
+    ...
+    ...     def run(self, concretes):
+    ...         yield from (cc.SimulatorError("the licence server does not answer") for concrete in concretes)
+    >>> cc.simulate("examples/r157/cut_in.xosc", simulator=Remote())
+    Traceback (most recent call last):
+        ...
+    cornercase._common.errors.InputError: examples/r157/cut_in.xosc: the licence server does not answer, tried 2 times.
+    """
 
 
 class PluginError(SimulationError):
@@ -74,7 +134,16 @@ class RunLostError(SimulatorError):
 
 
 class NoticeWarning(UserWarning):
-    """A part of the input has no effect, or is read differently from how it is written."""
+    """A part of the input has no effect, or is read differently from how it is written.
+
+    Examples
+    --------
+    >>> import warnings
+    >>> import cornercase as cc
+    >>> with warnings.catch_warnings():
+    ...     warnings.simplefilter("ignore", cc.NoticeWarning)
+    ...     recording = cc.simulate("examples/r157/cut_in.xosc", duration=1.0)
+    """
 
 
 def is_machine_error(error: BaseException | None) -> bool:

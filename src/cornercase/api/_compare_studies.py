@@ -25,6 +25,15 @@ class Comparison(suite.Comparison):
     ----------
     studies : tuple of (Path, Path)
         The studies that were compared, old and new.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> comparison = cc.compare("old.db", "new.db")  # doctest: +SKIP
+    >>> bool(comparison), comparison.verdict  # doctest: +SKIP
+    (True, 'mixed')
+    >>> comparison.write("compare.html")  # doctest: +SKIP
+    <Page 'compare.html'>
     """
 
     studies: tuple[Path, Path] = field(kw_only=True)

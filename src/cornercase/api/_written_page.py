@@ -25,6 +25,13 @@ class Page(os.PathLike[str]):
     Attributes
     ----------
     path : Path
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> page = cc.Study.open("study.db").report("report.html")  # doctest: +SKIP
+    >>> page, page.path.name  # doctest: +SKIP
+    (<Page 'report.html'>, 'report.html')
     """
 
     def __init__(self, path: Path) -> None:

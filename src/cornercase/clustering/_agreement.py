@@ -27,6 +27,13 @@ class Agreement:
     differing : tuple of int
         Ids of the scenarios whose clusters do not match, when clusters are matched so that as many scenarios as
         possible agree.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> agreement = cc.summarize("study.db").agreements["bearing", "interaction"]  # doctest: +SKIP
+    >>> agreement.adjusted_rand, agreement.differing  # doctest: +SKIP
+    (1.0, ())
     """
 
     adjusted_rand: float

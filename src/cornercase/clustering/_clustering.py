@@ -43,6 +43,16 @@ class Candidate:
         Match of these clusters with the clusters that the distances show, 0 to 1. It is the mean F-measure over the
         clusters of one or of the other, whichever is less, so that small clusters count as much as large ones. NaN
         without a search.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from cornercase.clustering import cluster
+    >>> x = np.r_[np.linspace(0, 1, 20), np.linspace(9, 10, 10)]
+    >>> candidates = cluster(abs(x[:, None] - x)).candidates
+    >>> best = max(candidates, key=lambda candidate: candidate.score)
+    >>> best.clusters, best.noise, len(candidates) > 1
+    (2, 0.0, True)
     """
 
     gamma: float
@@ -84,6 +94,15 @@ class Clustering:
     error : float
         Relative error of the kernel that landmarks approximate, between all other scenarios: root mean square of the
         difference over that of the kernel. It is 0 without landmarks.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from cornercase.clustering import cluster
+    >>> x = np.r_[np.linspace(0, 1, 20), np.linspace(9, 10, 10)]
+    >>> clustering = cluster(abs(x[:, None] - x))
+    >>> clustering.n_clusters, clustering.noise, clustering.labels[[0, -1]]
+    (2, 0.0, array([0, 1]))
     """
 
     labels: IntArray

@@ -346,6 +346,14 @@ def cluster(
     See Also
     --------
     ScenarioClustering : The estimator behind it, which also assigns new scenarios.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from cornercase.clustering import cluster
+    >>> x = np.r_[np.linspace(0, 1, 20), np.linspace(9, 10, 10)]
+    >>> cluster(abs(x[:, None] - x)).n_clusters
+    2
     """
     model = ScenarioClustering(
         gamma=gamma,

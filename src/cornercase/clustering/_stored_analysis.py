@@ -55,6 +55,15 @@ class Analysis:
     embedding_error : float or None
         Mean error of the distances between scenarios that are no landmarks, as a share of the mean distance; None if
         all pairs were compared.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> analysis = cc.analyze("study.db", ["interaction"])["interaction"]  # doctest: +SKIP
+    >>> analysis.sizes, analysis.labels[:5]  # doctest: +SKIP
+    ([146, 54], array([1, 0, 1, 0, 0]))
+    >>> analysis.table()["name"].loc[1]  # doctest: +SKIP
+    'Ego passes before Pedestrian'
     """
 
     by: str
@@ -195,6 +204,12 @@ def read_analysis(study: StudyFile | Path | str, by: str) -> Analysis:
     ------
     InputError
         The study was not analysed by this aspect, or the stored analysis is damaged.
+
+    Examples
+    --------
+    >>> from cornercase.clustering import read_analysis
+    >>> read_analysis("study.db", "interaction").sizes  # doctest: +SKIP
+    [146, 54]
     """
     with open_study(study, readonly=True) as opened:
         return _read_analysis(opened, by)
@@ -280,6 +295,12 @@ def read_analyses(study: StudyFile | Path | str) -> dict[str, Analysis]:
     -------
     dict of str to Analysis
         By aspect: the ego's trajectory first, the metrics last.
+
+    Examples
+    --------
+    >>> from cornercase.clustering import read_analyses
+    >>> {by: analysis.sizes for by, analysis in read_analyses("study.db").items()}  # doctest: +SKIP
+    {'ego-trajectory': [200], 'bearing': [146, 54], 'interaction': [146, 54], 'wttc': [200]}
     """
     with open_study(study, readonly=True) as opened:
         return {by: _read_analysis(opened, by) for by in opened.analyzed_aspects()}
@@ -306,6 +327,14 @@ def read_distances(study: StudyFile | Path | str, by: str) -> Distances:
     ------
     InputError
         The study was not analysed by this aspect, or the stored analysis is damaged.
+
+    Examples
+    --------
+    >>> from cornercase.clustering import read_analysis, read_distances
+    >>> distances = read_distances("study.db", "interaction")  # doctest: +SKIP
+    >>> ids = read_analysis("study.db", "interaction").ids  # doctest: +SKIP
+    >>> distances.shape, int(ids[distances[0].argsort()[1]])  # doctest: +SKIP
+    ((200, 200), 81)
     """
     with open_study(study, readonly=True) as opened:
         return _read_distances(opened, by)

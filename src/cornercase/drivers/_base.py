@@ -38,6 +38,15 @@ class DrivenPath:
     ------
     ValueError
         If there are fewer than two samples, shapes differ, or distances do not increase from 0.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from cornercase.drivers import DrivenPath
+    >>> distance = np.linspace(0.0, 100.0, 11)
+    >>> along_x = DrivenPath(distance, distance, np.zeros(11), np.zeros(11), np.zeros(11))
+    >>> float(np.interp(25.0, along_x.distance, along_x.x))
+    25.0
     """
 
     distance: FloatArray
@@ -99,6 +108,18 @@ class Situation:
         Names of the other entities; false objects of a sensor have names of their own.
     signals : mapping of str to ndarray of str, shape (N,)
         State of each traffic signal by its name, as the scenario file writes it.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> import numpy as np
+    >>> class KeepAway(cc.Driver):
+    ...     def acceleration(self, situation):
+    ...         s = situation
+    ...         distance = np.hypot(s.others_x - s.x[:, None], s.others_y - s.y[:, None])
+    ...         return np.where((distance < 10.0 + 2.0 * s.speed[:, None]).any(axis=1), -6.0, 0.0)
+    >>> cc.simulate("examples/r157/deceleration.xosc", drivers={"Ego": KeepAway()})
+    <Recording of Ego (car), Other (car), 35.05 s in 702 instants, no collision>
     """
 
     time: float

@@ -34,6 +34,14 @@ class BehaviourDriver(CompiledDriver):
     ------
     InputError
         If a parameter is out of range.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> from cornercase.drivers import NORMAL, BehaviourDriver
+    >>> sleepy = BehaviourDriver(NORMAL._replace(reaction_time=2.0))
+    >>> cc.simulate("examples/r157/deceleration.xosc", drivers={"Ego": sleepy})
+    <Recording of Ego (car), Other (car), 35.05 s in 702 instants, no collision>
     """
 
     kind = BEHAVIOUR

@@ -47,6 +47,15 @@ class Trajectory:
     ------
     ValueError
         If there are fewer than two points, shapes differ, a number is not finite, or times do not increase.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> import numpy as np
+    >>> from cornercase.drivers import Trajectory
+    >>> trajectory = Trajectory(np.array([0.0, 2.0, 4.0]), x=np.array([0.0, 40.0, 70.0]), y=np.array([0.0, 0.0, 3.5]))
+    >>> cc.Control(trajectory=trajectory).trajectory.x
+    array([ 0., 40., 70.])
     """
 
     time: FloatArray
@@ -200,6 +209,15 @@ class Controls:
         By scenario.
     failures : mapping of int to SimulationError
         By scenario; these scenarios end.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from cornercase.drivers import Controls
+    >>> controls = Controls.from_acceleration(np.array([0.0, -6.0]))
+    >>> controls.lane_change[1] = 1
+    >>> controls.acceleration, controls.steering, controls.lane_change
+    (array([ 0., -6.]), array([nan, nan]), array([0, 1]))
     """
 
     acceleration: FloatArray

@@ -33,6 +33,22 @@ class Body:
         Largest angle of the front wheels in rad.
     max_speed, max_acceleration, max_deceleration : float
         Limits in m/s and m/s²; infinite if the file has none.
+
+    Examples
+    --------
+    A driving function reads it when a batch starts:
+
+    >>> import cornercase as cc
+    >>> from cornercase.drivers import Controls, DrivingFunction
+    >>> class BrakeFully(DrivingFunction):
+    ...     def prepare(self, start):
+    ...         self.limit = min(start.body.max_deceleration, 8.0)
+    ...
+    ...     def decide(self, situation):
+    ...         return Controls.from_acceleration(0.0 * situation.speed - self.limit)
+    >>> recording = cc.simulate("examples/r157/deceleration.xosc", drivers={"Ego": BrakeFully()}, duration=1.0)
+    >>> round(float(recording.acceleration[recording.entity_index("Ego"), -1]), 3)
+    -8.0
     """
 
     name: str
@@ -72,6 +88,20 @@ class Start:
     friction : ndarray of float64, shape (N,)
         Friction coefficient of the road: the scenario's ``frictionScaleFactor``, with which it changes during the
         batch; 1 as long as there is none.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> import numpy as np
+    >>> from cornercase.drivers import Controls, DrivingFunction
+    >>> class Hesitant(DrivingFunction):
+    ...     def prepare(self, start):
+    ...         self.delay = np.array([start.generator(n, "delay").uniform(1.0, 3.0) for n in range(start.scenarios)])
+    ...
+    ...     def decide(self, situation):
+    ...         return Controls.from_acceleration(np.where(situation.time < self.delay, 0.0, -4.0))
+    >>> cc.simulate("examples/r157/deceleration.xosc", drivers={"Ego": Hesitant()}, duration=5.0)
+    <Recording of Ego (car), Other (car), 5 s in 101 instants, no collision>
     """
 
     body: Body
@@ -111,6 +141,20 @@ class DrivingFunction(Driver):
     `prepare` is called once per batch, before the first step; `Start.parameters` has a value for each scenario of those
     `numeric_parameters` that are dimensions of a search. `decide` is called in each step once per path, with the
     mask ``active`` as in `Driver.acceleration`. `release` is called when the batch has ended, also after a failure.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> from cornercase.drivers import Controls, DrivingFunction
+    >>> class KeepSpeed(DrivingFunction):
+    ...     def __init__(self, gain=0.5):
+    ...         self.gain = gain
+    ...
+    ...     def decide(self, situation):
+    ...         return Controls.from_acceleration(self.gain * (20.0 - situation.speed))
+    >>> recording = cc.simulate("examples/r157/cut_out.xosc", drivers={"Ego": KeepSpeed(gain=2.0)}, duration=5.0)
+    >>> round(float(recording.speed[recording.entity_index("Ego"), -1]), 3)
+    20.0
     """
 
     options_may_vary: ClassVar[bool] = False

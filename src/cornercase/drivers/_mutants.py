@@ -55,6 +55,13 @@ class Mutant:
         Name that creates it, such as ``"normal:reaction_time=0.8"``.
     mutation : str
         What was changed, in words.
+
+    Examples
+    --------
+    >>> from cornercase.drivers import generate_mutants
+    >>> (mutant,) = generate_mutants("normal", 1)
+    >>> mutant.driver, mutant.mutation
+    ('normal:field_of_view=2.86', 'narrower view')
     """
 
     driver: str

@@ -43,6 +43,15 @@ class Behaviour(NamedTuple):
         Distance in m up to which the driver sees.
     horizon : float
         Time in s for which the driver predicts the motion of others.
+
+    Examples
+    --------
+    Most behaviours are a preset with a few changes:
+
+    >>> from cornercase.drivers import NORMAL
+    >>> tailgating = NORMAL._replace(time_headway=0.5, min_gap=1.0)
+    >>> tailgating, tailgating.sight_range
+    (NORMAL._replace(time_headway=0.5, min_gap=1.0), 100.0)
     """
 
     max_speed: float

@@ -30,6 +30,14 @@ class SimpleDriver(CompiledDriver):
     ------
     InputError
         If a parameter is out of range.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> from cornercase.drivers import SimpleDriver
+    >>> attentive = SimpleDriver(reaction_time=0.5, max_deceleration=8.0)
+    >>> cc.simulate("examples/r157/deceleration.xosc", drivers={"Ego": attentive})
+    <Recording of Ego (car), Other (car), 35.05 s in 702 instants, no collision>
     """
 
     name = "simple"

@@ -41,6 +41,20 @@ class LaneView:
         Of its centre line in 1/m, positive to the left in the direction of the ego's path.
     speed_limit : float
         In m/s; infinite without limit, NaN if the road file has none.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> class ChangeLeft(cc.SystemUnderTest):
+    ...     def step(self, view, dt):
+    ...         left = next((lane for lane in view.lanes if lane.number == 1), None)
+    ...         if left is None or left.lane_type != "driving" or not left.same_direction:
+    ...             return 0.0
+    ...         return cc.Control(acceleration=0.0, lane_change="left")
+    >>> recording = cc.simulate("examples/r157/deceleration.xosc", drivers={"Ego": ChangeLeft()}, duration=6.0)
+    >>> y = recording.y[recording.entity_index("Ego")]
+    >>> round(float(y[-1] - y[0]), 2)
+    3.5
     """
 
     number: int

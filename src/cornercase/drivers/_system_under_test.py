@@ -44,6 +44,18 @@ class Ego:
         Limits in m/s and m/s²; infinite if the scenario file has none.
     values : mapping of str to object
         The scenario's parameter values that differ from the file.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> class Hold(cc.SystemUnderTest):
+    ...     def start(self, ego, road, rng):
+    ...         print(f"{ego.name}, a {ego.object_type}, is {ego.length} m long")
+    ...
+    ...     def step(self, view, dt):
+    ...         return 0.0
+    >>> _ = cc.simulate("examples/r157/deceleration.xosc", drivers={"Ego": Hold()}, duration=0.1)
+    Ego, a car, is 4.3 m long
     """
 
     name: str

@@ -37,6 +37,16 @@ class EgoState(NamedTuple):
         Distance from its path in m, positive to the left.
     turn : float
         Heading relative to its path in rad, positive to the left.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> class KeepSpeed(cc.SystemUnderTest):
+    ...     def step(self, view, dt):
+    ...         return 2.0 * (20.0 - view.ego.speed)
+    >>> recording = cc.simulate("examples/r157/deceleration.xosc", drivers={"Ego": KeepSpeed()}, duration=5.0)
+    >>> round(float(recording.speed[recording.entity_index("Ego"), -1]), 3)
+    20.0
     """
 
     x: float
@@ -77,6 +87,18 @@ class ObjectView:
     lane : int or None
         Lane that its centre is on, counted from the ego's own: 1 for the next to the left. None if it is on no lane of
         the ego's road.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> class GiveWay(cc.SystemUnderTest):
+    ...     def step(self, view, dt):
+    ...         near = [seen for seen in view.objects if seen.object_type == "pedestrian" and 0.0 < seen.x < 30.0]
+    ...         return -6.0 if near else 0.0
+    >>> scenario = "examples/x_intersection/x_intersection.xosc"
+    >>> recording = cc.simulate(scenario, drivers={"Ego": GiveWay()}, duration=15.0)
+    >>> float(recording.speed[recording.entity_index("Ego"), -1])
+    0.0
     """
 
     name: str
@@ -115,6 +137,14 @@ class SignalView(NamedTuple):
     gap : float
         Distance along the ego's path in m from the front of its box to the signal; negative once it is passed, NaN if
         it does not stand along the path.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> class StopAtRed(cc.SystemUnderTest):
+    ...     def step(self, view, dt):
+    ...         red = [signal.gap for signal in view.signals.values() if signal.state == "red" and signal.gap > 0.0]
+    ...         return -(view.ego.speed**2) / (2.0 * red[0]) if red and red[0] < 40.0 else 0.0
     """
 
     name: str
@@ -134,6 +164,18 @@ class PathPoint(NamedTuple):
         Direction relative to the ego's heading in rad.
     curvature : float
         In 1/m, positive to the left.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> class SlowInCurves(cc.SystemUnderTest):
+    ...     def step(self, view, dt):
+    ...         curvature = abs(view.path(ahead=20.0).curvature)
+    ...         return -2.0 if curvature * view.ego.speed**2 > 2.0 else 0.0
+    >>> recording = cc.simulate("examples/t_intersection/t_intersection.xosc", drivers={"Ego": SlowInCurves()})
+    >>> speed = recording.speed[recording.entity_index("Ego")]
+    >>> float(speed[0]), round(float(speed[-1]), 1)
+    (10.0, 7.5)
     """
 
     x: float
@@ -296,6 +338,18 @@ class View:
         Limit in m/s of the ego's own lane, else of its road; infinite without limit, NaN if the road file has none.
     signals : mapping of str to SignalView
         By name: the signals that the scenario sets, and those of the road along the ego's path, the next ahead first.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> class Aeb(cc.SystemUnderTest):
+    ...     def step(self, view, dt):
+    ...         leader = view.leader
+    ...         if leader is not None and leader.gap < 5.0 + 2.0 * leader.closing:
+    ...             return -8.0
+    ...         return min(1.0, view.target_speed - view.ego.speed)
+    >>> cc.simulate("examples/r157/deceleration.xosc", drivers={"Ego": Aeb()})
+    <Recording of Ego (car), Other (car), 35.05 s in 702 instants, no collision>
     """
 
     __slots__ = ("_n", "_objects", "_shared")

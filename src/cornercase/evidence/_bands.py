@@ -51,6 +51,13 @@ class Bands:
         Who published the bounds; empty for natural breaks.
     explained : float
         Share of the variance of the scores that the bands explain (goodness of variance fit).
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> bands = cc.summarize("study.db").bands["wttc"]  # doctest: +SKIP
+    >>> [bands.describe_range(band) for band in range(3)], bands.sizes  # doctest: +SKIP
+    (['0.499 s and below', 'above 0.499 s, to 1.05 s', 'above 1.05 s'], (50, 115, 35))
     """
 
     metric: str

@@ -21,6 +21,14 @@ class Estimate:
     value, low, high : float
         Mean, 5 % and 95 % quantile. The interval is extended to the mean if that lies outside, as for a quantity that
         is nearly always 0.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from cornercase.evidence import Estimate
+    >>> estimate = Estimate.from_draws(np.linspace(0.1, 0.2, 101))
+    >>> f"{estimate.value:.3f} ({estimate.low:.3f} to {estimate.high:.3f})"
+    '0.150 (0.105 to 0.195)'
     """
 
     value: float

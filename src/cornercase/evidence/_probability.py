@@ -37,6 +37,15 @@ class Probability:
         Effective sample size of the scenarios in which the event occurred.
     largest : float
         Largest fraction of the estimate that a single scenario contributes.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> critical = cc.estimate("study.db", "estimate.db", budget=1000).critical  # doctest: +SKIP
+    >>> print(critical)  # doctest: +SKIP
+    0.00512 (0.00257 to 0.0102)
+    >>> critical.met, round(critical.equivalent_monte_carlo_scenarios)  # doctest: +SKIP
+    (12, 2062)
     """
 
     value: float

@@ -50,6 +50,15 @@ class Sensitivity:
     total_by_trees : tuple of float
         Total index by extremely randomised trees of the scores, which follow jumps. A smooth process can take a
         parameter by which the score jumps for one without influence.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> sensitivity = cc.Study.open("study.db").sensitivity()  # doctest: +SKIP
+    >>> sensitivity.table()["total"].round(2).to_dict()  # doctest: +SKIP
+    {'pedestrian_wait': 0.88, 'ego_start': 0.65, 'p1_speed': 0.0}
+    >>> sensitivity.uninfluential_parameters, round(sensitivity.predicted, 2)  # doctest: +SKIP
+    (('p1_speed',), 0.98)
     """
 
     names: tuple[str, ...]
@@ -100,7 +109,7 @@ class Sensitivity:
     def uninfluential_parameters(self) -> tuple[str, ...]:
         """Parameters whose total index is below 0.05, with its interval by the process and by trees.
 
-        None if hardly anything is predicted.
+        Empty if hardly anything is predicted.
         """
         both = zip(self.names, self.total_interval, self.total_by_trees, strict=True)
         is_little = (name for name, (_, high), by_trees in both if max(high, by_trees) < LITTLE_INFLUENCE)

@@ -29,6 +29,13 @@ class SetDifference:
     p : float
         Two-sided tail probability of no change: twice the smaller of the fractions of the draws in which the critical
         fraction grows, or shrinks. At least 1 / draws.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> sets = cc.compare("old.db", "new.db").space.sets  # doctest: +SKIP
+    >>> f"{sets.change.value:+.0%} of the space, {sets.change.low:+.0%} to {sets.change.high:+.0%}"  # doctest: +SKIP
+    '+18% of the space, +15% to +21%'
     """
 
     old: Estimate

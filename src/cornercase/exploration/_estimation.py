@@ -93,6 +93,15 @@ class Estimation:
         Reasons not to trust the result, as sentences.
     interrupted : bool
         Whether it ended before its budget was used up.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> estimation = cc.estimate("study.db", "estimate.db", budget=1000)  # doctest: +SKIP
+    >>> print(estimation.critical)  # doctest: +SKIP
+    0.00512 (0.00257 to 0.0102)
+    >>> estimation.table()["met"].to_dict()["collision"], estimation.scenarios  # doctest: +SKIP
+    (12, 1000)
     """
 
     study: Path

@@ -59,6 +59,16 @@ class ExplorationResult:
         Number of failed scenarios by reason, the most frequent first.
     roles : str
         The entity under test, its driver and the simulator, as sentences.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> folder = "examples/x_intersection/x_intersection"
+    >>> scenario = cc.LogicalScenario.read(f"{folder}.xosc", f"{folder}.space.xosc")
+    >>> problem = cc.Problem(scenario, ego="Ego", other="Pedestrian", metrics=["wttc"])
+    >>> result = cc.Study.create("study.db", problem).explore("sobol", budget=4)
+    >>> result.done, result.failed, result.reason
+    (4, 0, 'the budget of 4 scenarios is used up')
     """
 
     study: Path

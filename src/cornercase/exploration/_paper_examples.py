@@ -89,6 +89,12 @@ def examples_folder() -> Path:
     -------
     Path
         Inside the package if installed, otherwise at the root of the checkout.
+
+    Examples
+    --------
+    >>> from cornercase.exploration import examples_folder
+    >>> (examples_folder() / "r157" / "cut_in.xosc").is_file()
+    True
     """
     package = Path(__file__).resolve().parents[1]
     return package / "examples" if (package / "examples").is_dir() else package.parents[1] / "examples"

@@ -51,6 +51,13 @@ class RepairResult:
         Ids of the scenarios that were run again.
     lost_content : tuple of str
         What could not be recovered, as parts of a sentence.
+
+    Examples
+    --------
+    >>> from cornercase.exploration import repair
+    >>> result = repair("damaged.db")  # doctest: +SKIP
+    >>> result.rerun_ids, result.lost_content, result.damaged_file.name  # doctest: +SKIP
+    ((108,), (), 'damaged.db.damaged')
     """
 
     study: Path
@@ -102,6 +109,12 @@ def repair(
     See Also
     --------
     cornercase.study.verify : Lists the damage.
+
+    Examples
+    --------
+    >>> from cornercase.exploration import repair
+    >>> repair("damaged.db").rerun_ids  # doctest: +SKIP
+    (108,)
     """
     file = check_path("study", study)
     # Replace the target of a symbolic link, not the link.

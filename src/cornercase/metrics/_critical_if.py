@@ -51,6 +51,21 @@ class CriticalIf(Metric):
     ----------
     condition : str, default "collision"
         Everything behind the colon: ``"critical-if:collision and not reference:cc-human"``.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> metric = cc.metrics.CriticalIf.from_text("ttc<0.5 and not reference:cc-human")
+    >>> metric.name, metric.reference_drivers
+    ('critical-if:ttc < 0.5 and not reference:cc-human', ('cc-human',))
+
+    Searches take the condition as text:
+
+    >>> folder = "examples/suite/scenario/cut_in"
+    >>> scenario = cc.LogicalScenario.read(f"{folder}.xosc", f"{folder}.space.xosc")
+    >>> condition = "collision and not reference:cc-human"
+    >>> cc.Problem(scenario, ego="Ego", other="Other", metrics=["ttc"], condition=condition)
+    <Problem 'cut_in': Ego and Other, critical if collision and not reference:cc-human>
     """
 
     name = CONDITION_METRIC

@@ -36,6 +36,12 @@ class Feature:
     branch : bool, default False
         Whether its sign distinguishes two ways in which a scenario can develop, such as who goes first. Scores jump
         between such branches, so searches sample where the branch is uncertain.
+
+    Examples
+    --------
+    >>> from cornercase.metrics import Feature
+    >>> Feature("crossing-gap", "s", branch=True)
+    Feature(name='crossing-gap', unit='s', branch=True)
     """
 
     name: str
@@ -313,6 +319,12 @@ def registered_features() -> tuple[Feature, ...]:
     -------
     tuple of Feature
         Groups in alphabetical order; the features of a group in its own order.
+
+    Examples
+    --------
+    >>> from cornercase.metrics import registered_features
+    >>> [feature.name for feature in registered_features() if feature.branch]
+    ['crossing-gap', 'contact']
     """
     return tuple(feature for group in _create_feature_groups() for feature in group.features)
 
@@ -339,6 +351,16 @@ def compute_features(recordings: Iterable[Recording | None], ego: str, other: st
     ------
     InputError
         There is no entity of that name, or a group of another package does not return the features that it lists.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> from cornercase.metrics import compute_features, registered_features
+    >>> recording = cc.simulate("examples/x_intersection/x_intersection.xosc")
+    >>> features = compute_features([recording], "Ego", "Pedestrian")
+    >>> names = [feature.name for feature in registered_features()]
+    >>> round(float(features[0, names.index("least-clearance")]), 2)
+    6.02
     """
     groups = _create_feature_groups()
     count = sum(len(group.features) for group in groups)

@@ -42,6 +42,16 @@ class Measurement:
     lower_is_critical : mapping of str to bool
     against : mapping of str to (str or None)
         Entity that each score comes from, as in `MetricResult`; empty if there is only one other entity.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> recording = cc.simulate("examples/x_intersection/x_intersection.xosc")
+    >>> measurement = cc.measure(recording, "Ego", "Pedestrian", ["distance"])
+    >>> round(measurement.scores["distance"], 2), measurement.units["distance"]
+    (7.97, 'm')
+    >>> float(measurement.time[measurement.courses["distance"].argmin()])
+    9.3
     """
 
     time: FloatArray

@@ -43,6 +43,14 @@ class Stl(Metric):
     ------
     InputError
         The text is no expression, or it needs a run with a reference driver.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> recording = cc.simulate("examples/x_intersection/x_intersection.xosc")
+    >>> cc.measure(recording, "Ego", "Pedestrian", [cc.metrics.Stl("always(clearance > 2 m)")])
+    metric                       score  unit  critical is
+    stl:always(clearance > 2 m)  4.023  m     low
     """
 
     name = "stl"

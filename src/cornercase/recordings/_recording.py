@@ -42,6 +42,14 @@ class Collision:
         s.
     entities : tuple of str
         Names of the two entities, in the order of the recording.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> recording = cc.simulate("examples/r157/cut_in.xosc", drivers={"Ego": "simple"})
+    >>> collision = recording.collisions[0]
+    >>> round(collision.time, 2), collision.entities
+    (3.4, ('Ego', 'Other'))
     """
 
     time: float

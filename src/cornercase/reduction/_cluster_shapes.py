@@ -35,6 +35,14 @@ class ClusterShape:
         ``"parts"``: corners of the hulls of near-convex parts. ``"kernel"``: archetypal analysis in kernel space.
     parts : int
         Number of near-convex parts; 1 except for ``"parts"``.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> for shape in cc.reduce("study.db", "reduced", size=10).shapes:  # doctest: +SKIP
+    ...     print(f"cluster {shape.cluster}: convexity {shape.convexity:.2f}, archetypes by {shape.method}")
+    cluster 0: convexity 0.99, archetypes by hull
+    cluster 1: convexity 0.97, archetypes by hull
     """
 
     cluster: int

@@ -53,6 +53,14 @@ class CriticalCoverage:
         are too few critical scenarios.
     held_out : HeldOutCritical or None, default None
         Cross-validated shares; None if not measured.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> reduced = cc.reduce("study.db", "reduced", by="interaction", size=10)  # doctest: +SKIP
+    >>> critical = reduced.critical["interaction"]  # doctest: +SKIP
+    >>> critical.critical, round(critical.random, 2), round(critical.unlike.high, 3)  # doctest: +SKIP
+    (1.0, 0.71, 0.066)
     """
 
     within: float

@@ -58,6 +58,13 @@ class HeldOut:
         Shares of the random selections with a larger maximum, and with a larger mean.
     medoids_largest, medoids_mean : float
         The same figures of k-medoids of the same scenarios.
+
+    Examples
+    --------
+    >>> from cornercase.reduction import read_reduction
+    >>> held_out = read_reduction("study.db").coverage["interaction"].held_out  # doctest: +SKIP
+    >>> held_out.scenarios, round(held_out.mean), round(held_out.random_mean)  # doctest: +SKIP
+    (200, 326, 431)
     """
 
     scenarios: int
@@ -85,6 +92,13 @@ class HeldOutCritical:
         The same for those on the boundary of the critical set; None if there are none.
     random, medoids : float
         The value of `critical` for the baselines: the median of 100 random selections of the same size, and k-medoids.
+
+    Examples
+    --------
+    >>> from cornercase.reduction import read_reduction
+    >>> held_out = read_reduction("study.db").critical["interaction"].held_out  # doctest: +SKIP
+    >>> held_out.scenarios, held_out.critical, round(held_out.random, 2)  # doctest: +SKIP
+    (24, 0.75, 0.67)
     """
 
     scenarios: int

@@ -36,6 +36,20 @@ class KillMatrix:
     held_out : KillMatrix or None
         Kill matrix of other mutants of the driver in the same scenarios. It evaluates a selection by the mutants of
         this matrix.
+
+    Examples
+    --------
+    `cornercase.suite.analyze_mutants` makes it; here are two scenarios and two mutants:
+
+    >>> import numpy as np
+    >>> from cornercase.drivers import generate_mutants
+    >>> from cornercase.reduction import KillMatrix
+    >>> mutants, kills = generate_mutants("normal", 2), np.array([[True, False], [False, False]])
+    >>> matrix = KillMatrix("normal", ("no collision",), (17, 18), np.zeros(2, dtype=bool), mutants, kills)
+    >>> matrix.mutation_score([17])
+    MutationScore(mutants=2, killable=1, killed=1)
+    >>> matrix.survivors
+    ('normal:min_gap=0.338',)
     """
 
     driver: str
@@ -147,6 +161,13 @@ class MutationScore:
         (equivalent mutants).
     killed : int
         Number killed by the scenarios in question.
+
+    Examples
+    --------
+    >>> from cornercase.reduction import MutationScore
+    >>> score = MutationScore(mutants=20, killable=9, killed=6)
+    >>> f"{score.share:.0%}, {score.interval[0]:.0%} to {score.interval[1]:.0%}"
+    '67%, 30% to 93%'
     """
 
     mutants: int
@@ -197,6 +218,15 @@ class MutantSelection:
         Mutation score for other mutants, which did not influence the selection; None if there are none.
     without : MutationScore or None
         Mutation score, for the other mutants, of the set that `reduce` selects without mutants.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> from cornercase.suite import analyze_mutants
+    >>> matrix = analyze_mutants("study.db", 20)  # doctest: +SKIP
+    >>> reduced = cc.reduce("study.db", "exposing", size=10, kill_matrix=matrix)  # doctest: +SKIP
+    >>> reduced.exposing.held_out, reduced.exposing.without  # doctest: +SKIP
+    (MutationScore(mutants=20, killable=10, killed=10), MutationScore(mutants=20, killable=10, killed=1))
     """
 
     driver: str

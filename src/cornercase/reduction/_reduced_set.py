@@ -41,6 +41,15 @@ class SelectedScenario:
         Parameters.
     scores : mapping of str to float
         By metric, in the metric's unit.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> first = cc.reduce("study.db", "reduced", size=10).scenarios[0]  # doctest: +SKIP
+    >>> first.file, first.role  # doctest: +SKIP
+    ('x_intersection-00017.xosc', 'critical prototype')
+    >>> first.values  # doctest: +SKIP
+    {'ego_start': 50.0, 'pedestrian_wait': 7.48, 'p1_speed': 9.5}
     """
 
     id: int
@@ -77,6 +86,13 @@ class ReducedSet:
         Result of selecting by mutants; None without.
     threshold : float or None
         Score from which a scenario was critical when the set was selected; None without a threshold.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> reduced = cc.reduce("study.db", "reduced", size=10)  # doctest: +SKIP
+    >>> len(reduced), reduced.ids[:3], reduced.table().loc[17, "role"]  # doctest: +SKIP
+    (10, [17, 3, 181], 'critical prototype')
     """
 
     by: str

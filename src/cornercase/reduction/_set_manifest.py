@@ -161,6 +161,13 @@ def read_reduction(study: StudyFile | Path | str) -> ReducedSet | None:
     ------
     InputError
         The stored reduced set is damaged.
+
+    Examples
+    --------
+    >>> from cornercase.reduction import read_reduction
+    >>> reduced = read_reduction("study.db")  # doctest: +SKIP
+    >>> None if reduced is None else reduced.ids  # doctest: +SKIP
+    [17, 3, 181, 176, 99, 121, 173, 90, 108, 56]
     """
     with open_study(study, readonly=True) as opened:
         return _read_reduction(opened)

@@ -43,6 +43,13 @@ class ReplyCounts:
         Of those in which it drives on, how many waiting would have avoided.
     events : mapping of int to EncounterEvents
         What happened when, by scenario that was examined.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> replies = cc.summarize("study.db").replies  # doctest: +SKIP
+    >>> replies.n_collisions, replies.n_with_braking, replies.n_avoided_earlier  # doctest: +SKIP
+    (10, 10, {0.3: 10, 0.5: 10, 1.0: 10})
     """
 
     n_collisions: int

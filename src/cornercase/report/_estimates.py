@@ -47,6 +47,15 @@ class CriticalEstimates:
         None if too few scenarios were run.
     audits : AuditEstimates or None
         None without audits.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> estimates = cc.Study.open("study.db").critical_set()  # doctest: +SKIP
+    >>> estimates.n_critical, estimates.n_run  # doctest: +SKIP
+    (24, 200)
+    >>> estimates.table()["fraction"].round(2).to_dict()  # doctest: +SKIP
+    {'critical share of the space': 0.13, 'missed share of the critical set': 0.11}
     """
 
     threshold: float
@@ -125,6 +134,13 @@ class CriticalSetEstimates:
         Why `missed_fraction` has no interval; None if there is an interval.
     by_committee : bool
         Whether a committee of classifiers made the predictions, instead of a Gaussian process of the scores.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> found = cc.Study.open("study.db").critical_set().critical_set  # doctest: +SKIP
+    >>> f"at most {found.missed_fraction.high:.0%} of the critical set is missed"  # doctest: +SKIP
+    'at most 21% of the critical set is missed'
     """
 
     critical_fraction: Estimate
@@ -182,6 +198,15 @@ class AuditEstimates:
         Fraction of the space that is critical.
     missed_fraction : Estimate or None
         Fraction of the critical part that no scenario in the study has found; None if unknown.
+
+    Examples
+    --------
+    Of a study that was explored with ``audit=0.3``:
+
+    >>> import cornercase as cc
+    >>> audits = cc.Study.open("study.db").critical_set().audits  # doctest: +SKIP
+    >>> audits.n_scenarios, audits.n_critical, round(audits.critical_fraction.high, 2)  # doctest: +SKIP
+    (30, 5, 0.32)
     """
 
     n_scenarios: int
@@ -204,6 +229,13 @@ class SpaceEstimates:
         None if a front was searched or too few scenarios were run.
     surrogate : ScoreSurrogate or None
         The model that `sensitivity` comes from.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> estimates = cc.summarize("study.db").estimates  # doctest: +SKIP
+    >>> estimates.critical.n_critical, estimates.sensitivity.names  # doctest: +SKIP
+    (24, ('ego_start', 'pedestrian_wait', 'p1_speed'))
     """
 
     pareto_front: Mapping[int, Mapping[str, float]] | None = None

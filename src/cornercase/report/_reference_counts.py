@@ -23,6 +23,15 @@ class ReferenceCount:
         Scenarios outside the model of the reference.
     n_colliding_later : int
         Of the prevented ones, those with a collision that the regulation does not count.
+
+    Examples
+    --------
+    Of a study with the condition ``collision and not reference:cc-human``:
+
+    >>> import cornercase as cc
+    >>> human = cc.summarize("study.db").references["cc-human"]  # doctest: +SKIP
+    >>> print(f"cc-human avoids {human.n_prevented} of {human.n_scenarios} collisions")  # doctest: +SKIP
+    cc-human avoids 15 of 18 collisions
     """
 
     n_prevented: int

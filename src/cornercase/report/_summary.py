@@ -57,6 +57,13 @@ class MetricSummary:
         If there are several other entities: the entity that the most critical score is measured against. Else None.
     scores_per_other : mapping of str to int
         If there are several other entities: the number of scores that are measured against each. Else empty.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> wttc = cc.summarize("study.db").metrics["wttc"]  # doctest: +SKIP
+    >>> wttc.most_critical, wttc.most_critical_id, round(wttc.median, 2)  # doctest: +SKIP
+    (0.0, 17, 0.82)
     """
 
     name: str
@@ -84,6 +91,12 @@ class FailureSummary:
         Id of the first scenario.
     parameters : mapping of str to float or str
         Parameters of the first scenario.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> for reason, failure in cc.summarize("study.db").failures.items():  # doctest: +SKIP
+    ...     print(f"{failure.n_scenarios} failed, such as {failure.first_id} with {failure.parameters}: {reason}")
     """
 
     n_scenarios: int

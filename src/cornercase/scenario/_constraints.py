@@ -49,6 +49,13 @@ class Constraint:
         ``"equalTo"``, ``"notEqualTo"``, ``"greaterThan"``, ``"greaterOrEqual"``, ``"lessThan"`` or ``"lessOrEqual"``.
     value : str
         Right-hand side; may be an expression of other parameters.
+
+    Examples
+    --------
+    >>> from cornercase.scenario import Constraint
+    >>> longest = Constraint("lessOrEqual", "${2 * $ego_length}")
+    >>> longest.rule, longest.value
+    ('lessOrEqual', '${2 * $ego_length}')
     """
 
     rule: str
@@ -71,6 +78,18 @@ class ParameterDeclaration:
         A value must fulfil all constraints of at least one group. Without groups, any value is allowed.
     sourceline : int or None
         Line in the file.
+
+    Examples
+    --------
+    A declaration limits the space to the values that its constraints allow:
+
+    >>> import numpy as np
+    >>> import cornercase as cc
+    >>> from cornercase.scenario import Constraint, ParameterDeclaration
+    >>> above_10_m = ParameterDeclaration("gap", "double", "30", ((Constraint("greaterThan", "10"),),))
+    >>> space = cc.ParameterSpace(cc.ParameterSpace.from_ranges(["gap=0:40"]).parameters, [above_10_m])
+    >>> space.is_admissible(np.array([[0.1], [0.5]]))
+    array([False,  True])
     """
 
     tag: ClassVar[str] = "ParameterDeclaration"

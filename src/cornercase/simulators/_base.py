@@ -36,6 +36,13 @@ class Availability:
         What is missing and how to get it, as a sentence; empty if the simulator can run.
     features : tuple of str
         Short descriptions of optional features.
+
+    Examples
+    --------
+    >>> from cornercase.simulators import list_simulators
+    >>> builtin = list_simulators()["builtin"]
+    >>> bool(builtin.version), builtin.problem
+    (True, '')
     """
 
     version: str = ""
@@ -305,6 +312,15 @@ def check_settings(
     ------
     InputError
         A value is out of range, or something is no driver.
+
+    Examples
+    --------
+    The constructor of a simulator calls it:
+
+    >>> from cornercase.simulators import check_settings
+    >>> settings = check_settings(0.05, 60.0, "stop", {"Ego": "normal:reaction_time=0.8"})
+    >>> settings["time_step"], settings["on_collision"]
+    (0.05, 'stop')
     """
     time_step, duration = check_float("time_step", time_step), check_float("duration", duration)
     if not 0.001 <= time_step <= 1.0:

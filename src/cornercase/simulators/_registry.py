@@ -29,6 +29,12 @@ def list_simulators() -> dict[str, Availability]:
     -------
     dict of str to Availability
         By name, including other packages' simulators. One that cannot be loaded is not available.
+
+    Examples
+    --------
+    >>> from cornercase.simulators import list_simulators
+    >>> {name: found.problem for name, found in list_simulators().items()}["builtin"]
+    ''
     """
     result = {}
     for name in SIMULATORS.names():

@@ -53,6 +53,13 @@ class SimulatedFolder:
         Number of recordings that existed before and were not made again.
     failures : mapping of str to str
         Why recordings are missing, by file name.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> simulated = cc.simulate_many("examples/x_intersection/x_intersection.xosc", "runs", duration=1.0)
+    >>> simulated.done, simulated.failed, (simulated.folder / "x_intersection.csv").exists()
+    (1, 0, True)
     """
 
     folder: Path

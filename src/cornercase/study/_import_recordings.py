@@ -57,6 +57,14 @@ class ImportResult:
     reason : str
         Why the first of the failed recordings could not be used, in a sentence; empty if none failed. The study stores
         the reason of each.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> entities = {"ego": "Ego", "other": "C"}
+    >>> result = cc.import_recordings("recordings", "imported.db", **entities, metrics=["ttc"])  # doctest: +SKIP
+    >>> result.done, result.failed, result.reason  # doctest: +SKIP
+    (100, 0, '')
     """
 
     study: Path

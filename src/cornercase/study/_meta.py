@@ -157,6 +157,13 @@ class StudyMeta:
     driver_in_file : str or None
         Driver that the scenario file names for the ego; empty if the ego follows the storyboard unless a driver is
         given; None if unknown, as for simulators that drive the ego themselves.
+
+    Examples
+    --------
+    >>> from cornercase.study import StudyFile
+    >>> with StudyFile.open("study.db") as study:  # doctest: +SKIP
+    ...     print(study.meta.ego, study.meta.metrics, study.meta.optimizer, study.meta.budget)
+    Ego ('wttc',) sobol 200
     """
 
     scenario: str

@@ -32,6 +32,14 @@ class ScenarioRecord:
         Whether the scenario has not run yet, has run, or has failed.
     error : str or None
         Why the scenario failed; None if it has not failed.
+
+    Examples
+    --------
+    >>> from cornercase.study import StudyFile
+    >>> with StudyFile.open("study.db") as study:  # doctest: +SKIP
+    ...     first = study.rows()[0]
+    >>> first.id, first.state, first.values  # doctest: +SKIP
+    (1, 'done', {'ego_start': 44.6, 'pedestrian_wait': 9.72, 'p1_speed': 11.2})
     """
 
     id: int

@@ -93,6 +93,13 @@ class StudyFile:
     ------
     InputError
         `database` is a path, which `open` takes.
+
+    Examples
+    --------
+    >>> from cornercase.study import StudyFile
+    >>> with StudyFile.open("study.db") as study:  # doctest: +SKIP
+    ...     print(len(study.finished_rows()), study.most_critical()[0], study.scores("wttc").max().round(2))
+    200 17 1.69
     """
 
     def __init__(self, database: Database, critical: float | None = None) -> None:

@@ -42,6 +42,13 @@ class Verification:
         Part of a sentence for each problem; empty if there is none.
     checked : bool, default True
         Whether the study has checksums; always True.
+
+    Examples
+    --------
+    >>> from cornercase.study import verify
+    >>> verification = verify("damaged.db")  # doctest: +SKIP
+    >>> verification.is_sound, verification.problems[-1]  # doctest: +SKIP
+    (False, 'SQLite says: database disk image is malformed')
     """
 
     path: Path

@@ -96,6 +96,13 @@ def analyze_mutants(
     InputError
         The ego has no driver that can be mutated, the study was not run with the builtin simulator, or an argument is
         invalid.
+
+    Examples
+    --------
+    >>> from cornercase.suite import analyze_mutants
+    >>> matrix = analyze_mutants("study.db", 20, require=["no collision"])  # doctest: +SKIP
+    >>> print(matrix.summary_text)  # doctest: +SKIP
+    9 of 20 mutants of normal are exposed, 45% (23% to 68% with 95 % confidence)
     """
     n_mutants = check_int("mutants", mutants, 1)
     parsed = _parse_requirements(check_str_sequence("require", require))

@@ -33,6 +33,13 @@ class RecordingDifference:
         Durations of the earlier and the later recording in s.
     scores : mapping of str to tuple of float
         Scores of the earlier and the later recording, by metric.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> result = cc.run_suite("reduced", "new-run.db", against="run.db")  # doctest: +SKIP
+    >>> print(result.scenarios[0].difference.text)  # doctest: +SKIP
+    the same
     """
 
     same: bool

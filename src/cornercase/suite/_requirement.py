@@ -32,6 +32,13 @@ class Requirement:
         Pattern of the file names that the requirement applies to, with ``*`` and ``?``; empty for all files.
     is_for_clusters : bool
         Whether the pattern is for cluster names instead of file names.
+
+    Examples
+    --------
+    >>> from cornercase.suite import Requirement
+    >>> requirement = Requirement.parse("for cut_in-*: ttc > 1.5 s")
+    >>> requirement.applies_to("cut_in-00012.xosc"), requirement.applies_to("cut_out-00001.xosc")
+    (True, False)
     """
 
     text: str

@@ -50,6 +50,14 @@ class ScenarioResult:
     others : mapping of str to str
         If there are several other entities: the entity that the score of each metric is measured against. Metrics that
         are not measured against a single entity are left out.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> result = cc.run_suite("reduced", "run.db", require=["no collision"])  # doctest: +SKIP
+    >>> first = result.scenarios[0]  # doctest: +SKIP
+    >>> first.file, first.state, first.reason  # doctest: +SKIP
+    ('x_intersection-00017.xosc', 'failed', 'Ego and Pedestrian collide at 9.9 s with 2.2 m/s to each other')
     """
 
     id: int

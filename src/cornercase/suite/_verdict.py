@@ -30,6 +30,15 @@ class Verdict:
         Time in s that decides the verdict; None if there is none.
     value : float or None
         Value at that time, in the unit of the requirement; None if there is none.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> from cornercase.suite import Requirement, judge
+    >>> recording = cc.simulate("examples/r157/deceleration.xosc")
+    >>> verdict = judge(Requirement.parse("thw > 3 s"), recording, "Ego", "Other")
+    >>> verdict.state, verdict.reason
+    ('failed', 'thw falls to 1.962 s at 0.9 s, below 3 s, first at 0 s')
     """
 
     state: VerdictState

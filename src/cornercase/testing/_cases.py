@@ -37,6 +37,16 @@ class Cases:
         In the order in which they are run.
     entity : str
         The one that a system under test drives.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> from cornercase.testing import Cases
+    >>> folder = "examples/x_intersection/x_intersection"
+    >>> logical = cc.LogicalScenario.read(f"{folder}.xosc", f"{folder}.space.xosc")
+    >>> cases = Cases.from_logical(logical, "Ego", count=2)
+    >>> [recording.names[0] for recording in cases.run(duration=1.0)]
+    ['Ego', 'Ego']
     """
 
     concretes: tuple[ConcreteScenario, ...]

@@ -23,6 +23,14 @@ class ContractCheck:
         Raises `AssertionError` with a sentence if it does not hold.
     needs : str, default ""
         Name of an earlier check without which this one says nothing; empty if there is none.
+
+    Examples
+    --------
+    >>> from cornercase.testing import ContractCheck, run_checks
+    >>> def check_that_it_is_fast():
+    ...     raise AssertionError("It takes 3 s per scenario.")
+    >>> [result.problem for result in run_checks([ContractCheck("is fast", check_that_it_is_fast)])]
+    ['It takes 3 s per scenario.']
     """
 
     name: str
@@ -50,6 +58,13 @@ class CheckResult:
         Name of the check that failed and that this one needs, so that it was not run; empty if it was run.
     not_tried : str, default ""
         Why it could not be tried, as a sentence; empty if it was tried.
+
+    Examples
+    --------
+    >>> from cornercase.testing import metric_checks, run_checks
+    >>> results = list(run_checks(metric_checks("ttc")))
+    >>> [result.name for result in results if result.problem]
+    []
     """
 
     name: str
@@ -70,6 +85,14 @@ def run_checks(checks: Iterable[ContractCheck]) -> Iterator[CheckResult]:
     ------
     CheckResult
         In order.
+
+    Examples
+    --------
+    >>> from cornercase.testing import optimizer_checks, run_checks
+    >>> for result in run_checks(optimizer_checks("sobol")[:2]):
+    ...     print(result.name, "–", result.problem or "ok")
+    proposes points of the unit cube – ok
+    proposes the same for the same seed – ok
     """
     # By name of a check that failed or was not run: the one that failed.
     causes = dict[str, str]()

@@ -41,6 +41,12 @@ def metric_checks(
     Returns
     -------
     list of ContractCheck
+
+    Examples
+    --------
+    >>> from cornercase.testing import metric_checks, run_checks
+    >>> all(not result.problem for result in run_checks(metric_checks("ttc")))
+    True
     """
     given = recordings if recordings is not None else _default_recordings()
     checks = {

@@ -30,6 +30,12 @@ def optimizer_checks(optimizer: str | Optimizer) -> list[ContractCheck]:
     Returns
     -------
     list of ContractCheck
+
+    Examples
+    --------
+    >>> from cornercase.testing import optimizer_checks, run_checks
+    >>> [result.problem for result in run_checks(optimizer_checks("sobol")[:2])]
+    ['', '']
     """
     checks = {
         "proposes points of the unit cube": _proposes,

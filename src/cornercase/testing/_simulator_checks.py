@@ -71,6 +71,15 @@ def simulator_checks(
     ------
     InputError
         Unknown name, or a class instead of an object.
+
+    Examples
+    --------
+    >>> from cornercase.testing import run_checks, simulator_checks
+    >>> checks = simulator_checks("builtin")
+    >>> checks[0].name
+    'can run on this machine'
+    >>> [result.problem for result in run_checks(checks) if result.problem]  # doctest: +SKIP
+    []
     """
     if isinstance(simulator, type):
         name = simulator.__qualname__

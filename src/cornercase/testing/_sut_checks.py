@@ -54,6 +54,15 @@ def sut_checks(system: str | SystemUnderTest | Driver, cases: Sequence[Cases] | 
     Returns
     -------
     list of ContractCheck
+
+    Examples
+    --------
+    >>> from cornercase.testing import run_checks, sut_checks
+    >>> checks = sut_checks("normal")
+    >>> checks[0].name
+    'can be stored and sent to another process'
+    >>> [result.problem for result in run_checks(checks) if result.problem]  # doctest: +SKIP
+    []
     """
     subject = _Subject(system, cases if cases is not None else default_cases())
     return [

@@ -36,6 +36,14 @@ class Profile:
         Share of its scenarios for which the name is true, and of all scenarios of other clusters; NaN without a name.
     example : int or None
         Id of the scenario with the smallest sum of distances to the others (medoid); None without a name.
+
+    Examples
+    --------
+    >>> from cornercase.clustering import read_analysis
+    >>> for profile in read_analysis("study.db", "interaction").profiles:  # doctest: +SKIP
+    ...     print(profile.cluster, profile.size, profile.label)
+    0 146 Ego passes after Pedestrian or is hit by Pedestrian while it stands; 10 of 146 collide
+    1 54 Ego passes before Pedestrian
     """
 
     cluster: int

@@ -41,6 +41,13 @@ class Rule:
         Share of the cluster's scenarios that lie in this part (recall).
     purity : float
         Share of the scenarios in this part that belong to the cluster (precision).
+
+    Examples
+    --------
+    >>> from cornercase.clustering import read_analysis
+    >>> rule = read_analysis("study.db", "interaction").profiles[0].rules[0]  # doctest: +SKIP
+    >>> print(f"{rule.text} (covers {rule.covers:.0%}, purity {rule.purity:.0%})")  # doctest: +SKIP
+    ego_start <= 71.3 m and pedestrian_wait <= 6.505 s (covers 61%, purity 97%)
     """
 
     text: str

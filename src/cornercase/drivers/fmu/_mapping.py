@@ -48,9 +48,15 @@ class MappedVariable:
     unit : str
         Unit of the FMU, or the one that is taken in its place.
     source : str
-        InputQuantity that it is given, decision that it makes, or value of a parameter; empty if it is not used.
+        Quantity that it is given, decision that it makes, or value of a parameter; empty if it is not used.
     remark : str
         Such as a unit that the FMU does not name, or the start value that an input keeps; may be empty.
+
+    Examples
+    --------
+    >>> from cornercase.drivers import FmuDriver
+    >>> for variable in FmuDriver("aeb.fmu", map="aeb.toml").variables:  # doctest: +SKIP
+    ...     print(f"{variable.causality} {variable.name}: {variable.source or 'not used'}, in {variable.unit}")
     """
 
     name: str

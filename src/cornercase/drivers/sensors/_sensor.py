@@ -23,6 +23,15 @@ class SensedObjects:
         State of the reference points in m, rad and m/s, as measured; NaN if the sensor does not know the object.
     measured_at : ndarray of float64, shape (N, A + F)
         Time of the last measurement in s.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from cornercase.drivers import SensedObjects
+    >>> known = SensedObjects(x=np.array([[30.0, np.nan]]), y=np.array([[0.0, np.nan]]), heading=np.zeros((1, 2)),
+    ...                       speed=np.array([[15.0, np.nan]]), measured_at=np.full((1, 2), 0.4))
+    >>> np.isfinite(known.x)
+    array([[ True, False]])
     """
 
     x: FloatArray
@@ -48,6 +57,25 @@ class Sensor(Configurable, ABC):
         Options that make the sensor random if they are above 0.
     false_objects : int
         Number F of false objects that it may see at the same time.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> import numpy as np
+    >>> from cornercase.drivers import DRIVERS, EquippedDriver, SensedObjects, Sensor
+    >>> class Nearsighted(Sensor):
+    ...     def start(self, start, label):
+    ...         pass
+    ...
+    ...     def perceive(self, situation):
+    ...         s = situation
+    ...         distance = np.hypot(s.others_x - s.x[:, None], s.others_y - s.y[:, None])
+    ...         known = np.where(distance < 20.0, 0.0, np.nan)
+    ...         state = (s.others_x, s.others_y, s.others_heading, s.others_speed)
+    ...         return SensedObjects(*(values + known for values in state), np.full(known.shape, s.time))
+    >>> driver = EquippedDriver(DRIVERS.create("normal"), sensors=[Nearsighted()])
+    >>> cc.simulate("examples/r157/deceleration.xosc", drivers={"Ego": driver})
+    <Recording of Ego (car), Other (car), 4.55 s in 92 instants, Ego and Other collide at 4.55 s>
     """
 
     is_random: bool = False

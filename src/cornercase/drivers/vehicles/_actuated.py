@@ -129,6 +129,15 @@ class Actuators(ActuatedVehicle):
     ------
     InputError
         If an option is out of range.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> from cornercase.drivers import NORMAL, Actuators, BehaviourDriver, EquippedDriver
+    >>> late_brakes = Actuators(delay=0.2, max_jerk=10.0)
+    >>> driver = EquippedDriver(BehaviourDriver(NORMAL), vehicle=late_brakes)
+    >>> cc.simulate("examples/r157/deceleration.xosc", drivers={"Ego": driver})
+    <Recording of Ego (car), Other (car), 35.05 s in 702 instants, no collision>
     """
 
     name = "actuators"

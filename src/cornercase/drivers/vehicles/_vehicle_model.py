@@ -20,6 +20,16 @@ class PlanarMotion:
     ----------
     x, y, heading, speed, acceleration : ndarray of float64, shape (N,)
         In m, rad, m/s and m/s²; heading unwrapped, acceleration along the heading.
+
+    Examples
+    --------
+    >>> from dataclasses import replace
+    >>> import numpy as np
+    >>> from cornercase.drivers import PlanarMotion
+    >>> x, y, heading, speed, acceleration = np.zeros((5, 2))
+    >>> motion = PlanarMotion(x, y, heading, speed + 20.0, acceleration)
+    >>> replace(motion, x=motion.x + motion.speed * np.cos(motion.heading) * 0.05).x
+    array([1., 1.])
     """
 
     x: FloatArray
@@ -41,6 +51,25 @@ class VehicleModel(Configurable, ABC):
         As registered.
     steers : bool
         Whether the model has a pose of its own. If not, only its speed counts, and the vehicle stays on its path.
+
+    Examples
+    --------
+    >>> from dataclasses import replace
+    >>> import cornercase as cc
+    >>> import numpy as np
+    >>> from cornercase.drivers import DRIVERS, EquippedDriver, VehicleModel
+    >>> class WeakBrakes(VehicleModel):
+    ...     steers = False
+    ...
+    ...     def start(self, start):
+    ...         pass
+    ...
+    ...     def step(self, motion, acceleration, steering, friction, time_step, active):
+    ...         reached = np.where(active, np.maximum(acceleration, -3.0), 0.0)
+    ...         return replace(motion, speed=np.maximum(motion.speed + reached * time_step, 0.0), acceleration=reached)
+    >>> driver = EquippedDriver(DRIVERS.create("normal"), vehicle=WeakBrakes())
+    >>> cc.simulate("examples/r157/deceleration.xosc", drivers={"Ego": driver})
+    <Recording of Ego (car), Other (car), 6.1 s in 123 instants, Ego and Other collide at 6.1 s>
     """
 
     steers: bool = True

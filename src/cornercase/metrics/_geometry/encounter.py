@@ -45,6 +45,15 @@ class Encounter:
     ------
     InputError
         There is no entity of that name.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> from cornercase.metrics import Encounter
+    >>> encounter = Encounter(cc.simulate("examples/x_intersection/x_intersection.xosc"), "Ego", "Pedestrian")
+    >>> instant, gap = encounter.closest_instant_and_gap
+    >>> f"{gap:.2f} m apart, {encounter.time_since_start(instant):.2f} s after the start"
+    '6.02 m apart, 8.95 s after the start'
     """
 
     def __init__(self, recording: Recording, ego: str, other: str) -> None:

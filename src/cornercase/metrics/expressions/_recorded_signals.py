@@ -62,6 +62,15 @@ class Signals:
         it was not run.
     faults : dict of Collision to Fault, default {}
         Whose fault collisions of the ego are, as far as that was found already.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from cornercase.metrics import Expression, Signals
+    >>> time = np.array([0.0, 0.1, 0.2])
+    >>> signals = Signals(time, {"ttc": np.array([9.0, 2.0, 1.0])})
+    >>> float(Expression.parse("always(ttc > 1.5)").robustness(signals)[0])
+    -0.5
     """
 
     time: FloatArray
@@ -103,6 +112,15 @@ def signals_from_recording(
     ------
     InputError
         There is no entity of that name.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> from cornercase.metrics import signals_from_recording
+    >>> recording = cc.simulate("examples/x_intersection/x_intersection.xosc")
+    >>> signals = signals_from_recording(recording, "Ego", "Pedestrian")
+    >>> float(signals.values["ego.speed"][0]), round(float(signals.values["clearance"].min()), 2)
+    (10.0, 6.02)
     """
     names = tuple(others) or (other,)
     values = _LazySignals(recording, ego, other, names)

@@ -50,6 +50,12 @@ class PaperScenario:
         Aspect of the clusters whose hulls are drawn; empty for figure 6.
     score : str
         Metric whose scores are drawn; empty for figure 6.
+
+    Examples
+    --------
+    >>> from cornercase.report import PAPER_SCENARIOS
+    >>> PAPER_SCENARIOS["scenario-1"].aspects
+    ('ego-trajectory', 'trajectory-distance', 'wttc')
     """
 
     figure: str

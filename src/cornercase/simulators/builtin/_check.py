@@ -56,6 +56,15 @@ class Check:
         Why the scenario cannot be run.
     standard_violations : tuple of str
         Violations of the standard that are read all the same, with the rule; empty unless `strict` was given.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> check = cc.check("examples/r157/cut_in.xosc")
+    >>> check.is_valid, check.drivers
+    (True, {'Ego': 'cc-human', 'Other': None})
+    >>> check.parameters
+    ('ego_kmh', 'other_kmh', 'gap', 'lateral_speed')
     """
 
     path: Path

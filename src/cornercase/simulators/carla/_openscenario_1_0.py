@@ -85,6 +85,13 @@ class Conversion:
         The new file.
     notes : tuple of str
         Differences from the original and replacements, one sentence each.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> conversion = cc.convert("examples/t_intersection/t_intersection.xosc", "t10.xosc", ego="Ego")
+    >>> print(conversion.notes[-1])
+    C synchronises with a final speed of 10 m/s.
     """
 
     path: Path

@@ -73,6 +73,14 @@ class ScenarioPair:
         Scores that define whether the scenario is critical, by metric; empty without a threshold.
     faults : tuple of (str, str)
         Whose fault the ego's first collision is, as ``"Ego at fault"``; empty without a collision, or if unknown.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> pairs = cc.compare("old.db", "new.db").pairs  # doctest: +SKIP
+    >>> newly_hit = [pair for pair in pairs if pair.collides == (False, True)]  # doctest: +SKIP
+    >>> newly_hit[0].ids, newly_hit[0].scores["wttc"]  # doctest: +SKIP
+    ((5, 5), (0.767917308935819, 0.0))
     """
 
     ids: tuple[int, int]
@@ -120,6 +128,13 @@ class ScoreChanges:
         Change with the largest absolute value, new minus old, in the unit.
     ids : tuple of (int, int) or None
         Ids of the pair with the largest change.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> for change in cc.compare("old.db", "new.db").scores:  # doctest: +SKIP
+    ...     print(f"{change.metric}: {change.worse} worse, {change.better} better, by up to {abs(change.largest):.2f}")
+    wttc: 77 worse, 8 better, by up to 0.91
     """
 
     metric: str
@@ -155,6 +170,15 @@ class ChangeTest:
     shift : float
         Mean score of the new version minus mean score of the old version, in the metric's unit. For yes/no facts, the
         difference of the proportions.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> for test in cc.compare("old.db", "new.db").tests:  # doctest: +SKIP
+    ...     print(f"{test.about}: {test.direction} by {test.method}, p = {test.corrected:.1g}")
+    wttc: worse by Wilcoxon signed-rank, p = 9e-14
+    collision: worse by exact McNemar, p = 5e-06
+    critical: worse by exact McNemar, p = 1e-10
     """
 
     about: str
@@ -189,6 +213,15 @@ class Finding:
         Unit of the score.
     test : ChangeTest or None, default None
         The test that found the change; None if single scenarios show it.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> finding = cc.compare("old.db", "new.db").worse[0]  # doctest: +SKIP
+    >>> finding.kind, finding.direction, finding.ids[0]  # doctest: +SKIP
+    ('collision', 'worse', (5, 5))
+    >>> print(finding)  # doctest: +SKIP
+    37 new collisions (5, 10, 21, 25, 37 and 32 more)
     """
 
     kind: FindingKind
@@ -287,6 +320,14 @@ class ClusterChange:
         How the scenarios of the cluster end with each version, and how many do; the most frequent ending comes first.
     ids : tuple of (int, int)
         Pairs that are in the cluster with one version only.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> for kind in cc.compare("old.db", "new.db").clusters["interaction"]:  # doctest: +SKIP
+    ...     print(f"{kind.label}: {kind.old} before, {kind.new} now")
+    Ego passes after Pedestrian or is hit by Pedestrian while it stands; 10 of 146 collide: 146 before, 117 now
+    Ego passes before Pedestrian: 54 before, 83 now
     """
 
     cluster: int
@@ -312,6 +353,13 @@ class UnpairedScenarios:
         How many of them are critical; None without a threshold.
     collisions : int
         In how many of them the ego collides.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> only_old, only_new = cc.compare("old.db", "extended.db").unpaired  # doctest: +SKIP
+    >>> only_new.count, only_new.chosen_by_scores, only_new.collisions  # doctest: +SKIP
+    (10, 0, 1)
     """
 
     count: int
@@ -345,6 +393,14 @@ class SpaceChange:
         Change of this share, new minus old. Its interval holds with at least 90 %.
     counts : tuple of (int, int)
         Number of scenarios behind `shares`; of pairs, both are the same.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> space = cc.compare("old.db", "new.db").space  # doctest: +SKIP
+    >>> old, new = space.shares  # doctest: +SKIP
+    >>> f"{old.value:.0%} of the space was critical, {new.value:.0%} is now"  # doctest: +SKIP
+    '12% of the space was critical, 30% is now'
     """
 
     pairs: int
@@ -369,6 +425,17 @@ class Example:
     pair : ScenarioPair
     reason : str
         What changed, in one sentence without a period.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> for example in cc.compare("old.db", "new.db").examples:  # doctest: +SKIP
+    ...     print(example.pair.ids, example.reason)
+    (190, 190) Pedestrian first; now Ego and Pedestrian collide
+    (93, 93) Pedestrian first; now Ego and Pedestrian collide
+    (109, 109) Pedestrian first; now Ego and Pedestrian collide
+    (42, 42) Pedestrian first; now Ego and Pedestrian collide
+    (105, 105) Pedestrian first; now Ego and Pedestrian collide
     """
 
     pair: ScenarioPair
@@ -430,6 +497,15 @@ class Comparison:
         Whether both studies were made by the same search with the same seed.
     main_aspect : str
         The aspect of `clusters` that says most about how scenarios end; empty without clusters.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> comparison = cc.compare("old.db", "new.db")  # doctest: +SKIP
+    >>> comparison.verdict, comparison.count_pairs("the same")  # doctest: +SKIP
+    ('mixed', 102)
+    >>> [finding.change_text for finding in comparison.worse]  # doctest: +SKIP
+    ['37 new collisions', '35 scenarios newly critical', '62 scenarios more critical by wttc, by up to 0.912 s']
     """
 
     names: tuple[str, str]

@@ -41,6 +41,14 @@ class ReferenceDriver(VariedDriver):
     UN Regulation No. 157, 5.2.5.2 and Annex 4, Appendix 3; Annex 3, Appendix 3 of the 01 series of amendments.
     Mattas et al., Driver models for the definition of safety requirements of automated vehicles in international
     regulations. Application to motorway driving conditions, Accident Analysis & Prevention 174 (2022) 106743.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> from cornercase.drivers import ReferenceDriver
+    >>> human = ReferenceDriver("cc-human")
+    >>> cc.simulate("examples/r157/cut_in.xosc", drivers={"Ego": human})
+    <Recording of Ego (car), Other (car), 3.4 s in 69 instants, Ego and Other collide at 3.4 s>
     """
 
     def __init__(self, name: str, delay: float | None = None) -> None:

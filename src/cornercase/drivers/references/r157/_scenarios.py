@@ -50,6 +50,14 @@ class EncounterOutcome(NamedTuple):
         with respect to the standing car when the car ahead leaves the middle of its lane, or 0 if that car crashes.
     gap : ndarray of float64, shape (N,)
         Initial gap in m to the car ahead.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from cornercase.drivers import drive_deceleration
+    >>> outcome = drive_deceleration("fsm", np.array([20.0, 30.0]), np.array([0.3, 0.9]))
+    >>> outcome.crash, outcome.critical.round(2), outcome.gap
+    (array([False, False]), array([0., 1.]), array([40.42857143, 74.71428571]))
     """
 
     crash: BoolArray
@@ -161,6 +169,14 @@ def drive_cut_out(name: str, speed: FloatArray, front_gap: FloatArray, lateral_s
     References
     ----------
     UN Regulation No. 157, Annex 4, Appendix 3.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from cornercase.drivers import drive_cut_out
+    >>> speed, front_gap = np.full(2, 30.0), np.array([20.0, 60.0])
+    >>> drive_cut_out("cc-human", speed, front_gap, lateral_speed=np.ones(2)).crash
+    array([ True, False])
     """
     reference, n = REFERENCES[name], len(speed)
     start = reference.following_gap(speed)
@@ -215,6 +231,13 @@ def drive_deceleration(name: str, speed: FloatArray, deceleration: FloatArray) -
     References
     ----------
     UN Regulation No. 157, Annex 4, Appendix 3.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from cornercase.drivers import drive_deceleration
+    >>> drive_deceleration("rss", np.full(2, 30.0), deceleration=np.array([0.5, 1.0])).crash
+    array([False,  True])
     """
     reference, n = REFERENCES[name], len(speed)
     start = reference.following_gap(speed)
