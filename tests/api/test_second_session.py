@@ -209,7 +209,8 @@ def test_a_driver_of_ones_own_class_has_no_name():
     class Mine(cc.drivers.BehaviourDriver):
         pass
 
-    assert Builtin(drivers={"Ego": Mine(cc.drivers.CAUTIOUS)}).settings["drivers"]["Ego"]["driver"].endswith("Mine")
+    drivers: Any = Builtin(drivers={"Ego": Mine(cc.drivers.CAUTIOUS)}).settings["drivers"]
+    assert drivers["Ego"]["driver"].endswith("Mine")
 
 
 def test_other_options_of_runs_leave_the_repeats_of_a_study(problem, tmp_path):
