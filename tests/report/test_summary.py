@@ -335,6 +335,19 @@ def test_of_a_space_that_was_run_whole_the_page_claims_no_bound(tmp_path):
     assert "Nothing: all scenarios of the space were run, and none is critical." in page
 
 
+@pytest.mark.parametrize(("threshold", "share"), [(100.0, 1.0), (-1.0, 0.0)])
+def test_of_a_few_scenarios_that_are_the_whole_space_everything_is_known(tmp_path, threshold, share):
+    space = ParameterSpace.from_ranges(["a=0:0.2:0.2", "b=0:0.3:0.3"])
+    with opened(tmp_path / "s.db", space, critical=threshold) as study:
+        logical = replace(LOGICAL, space=space)
+        explorer(study, metrics=("distance", "wttc"), optimizer="sobol", logical=logical, critical=threshold).run()
+    critical = summary_to_dict(summarize(tmp_path / "s.db"))["critical"]
+    assert critical["share"] == dict.fromkeys(("value", "low", "high"), share)
+    assert critical["missed"] == dict.fromkeys(("value", "low", "high"), 0.0)
+    page = write_report(tmp_path / "s.db", tmp_path / "r.html").read_text(encoding="utf-8")
+    assert "Nothing: all scenarios of the space were run" in page
+
+
 def test_where_all_scores_are_the_same_it_is_said_that_they_tell_nothing(tmp_path):
     with StudyFile.create(tmp_path / "s.db", about(SPACE, "delta-v", critical=1.0)) as study:
         explorer(study, metrics=("delta-v",), optimizer="sobol", critical=1.0).run()

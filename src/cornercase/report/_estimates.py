@@ -10,11 +10,13 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from cornercase._common.errors import skip_if_not_enough_data
+from cornercase._common.row_keys import row_keys
 from cornercase.evidence import Estimate, Sensitivity
 from cornercase.evidence._critical_set_estimate import MIN_REGION_FRACTION
 from cornercase.evidence._proportions import proportion_interval
 from cornercase.evidence._score_surrogate import ScoreSurrogate, fit_surrogate
 from cornercase.evidence._sensitivity import sensitivity_of_surrogate
+from cornercase.evidence._space_sample import SpaceSample
 from cornercase.exploration._best_scores import is_on_pareto_front
 from cornercase.exploration._study_critical_set import estimate_critical_set, uses_features
 from cornercase.study import StudyFile
@@ -134,6 +136,8 @@ class CriticalSetEstimates:
         Why `missed_fraction` has no interval; None if there is an interval.
     by_committee : bool
         Whether a committee of classifiers made the predictions, instead of a Gaussian process of the scores.
+    is_exhausted : bool
+        Whether all scenarios of a finite space were run, so that the fractions are exact.
 
     Examples
     --------
@@ -152,6 +156,7 @@ class CriticalSetEstimates:
     interval_unavailable: str | None = None
     missed_interval_unavailable: str | None = None
     by_committee: bool = False
+    is_exhausted: bool = False
 
     def descriptions(self) -> list[str]:
         """Describe both fractions, each with its interval or the reason why there is none.
@@ -324,8 +329,10 @@ def estimate_critical(study: StudyFile) -> CriticalEstimates | None:
             critical_set.interval_unavailable,
             critical_set.missed_interval_unavailable,
             critical_set.uses_committee,
+            critical_set.is_exhausted,
         )
         missed = critical_set.audited_missed_fraction
+    estimates = estimates or _estimate_exhausted_space(study)
     n_critical_audits, n_audits = int(critical[audits].sum()), int(audits.sum())
     audit = (
         AuditEstimates(n_audits, n_critical_audits, proportion_interval(n_critical_audits, n_audits), missed)
@@ -339,3 +346,18 @@ def estimate_critical(study: StudyFile) -> CriticalEstimates | None:
         critical_set=estimates,
         audits=audit,
     )
+
+
+def _estimate_exhausted_space(study: StudyFile) -> CriticalSetEstimates | None:
+    """What is known of a finite space if all its scenarios were run, however few; None of any other space."""
+    sizes = [parameter.size for parameter in study.space.parameters]
+    if None in sizes:
+        return None
+    sample = SpaceSample.from_space(study.space, study.meta.seed)
+    outcomes = dict(zip(row_keys(study.space.snap(study.points())), study.critical_mask().tolist(), strict=True))
+    keys = row_keys(study.space.snap(sample.points))
+    if not sample.is_complete or not outcomes.keys() >= set(keys):
+        return None
+    fraction = float(sample.weights[[outcomes[key] for key in keys]].sum())
+    exact, nothing = Estimate(fraction, fraction, fraction), Estimate(0.0, 0.0, 0.0)
+    return CriticalSetEstimates(exact, nothing, 0.0, 0.0, MIN_REGION_FRACTION, 0.0, is_exhausted=True)

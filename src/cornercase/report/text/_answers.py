@@ -292,8 +292,10 @@ def _answer_missed(data: ReportData, critical: CriticalEstimates) -> Answer:
     sentences, estimates = [], critical.critical_set
     if estimates is None:
         sentences.append("That is unknown: there are too few different scores.")
-    elif not critical.n_critical and estimates.missed_interval_unavailable is None:
-        sentences.append("Nothing: all scenarios of the space were run, and none is critical.")
+    elif estimates.is_exhausted:
+        sentences.append(
+            f"Nothing: all scenarios of the space were run{'' if critical.n_critical else ', and none is critical'}."
+        )
     elif not critical.n_critical:
         sentences.append("Nothing critical was found, so whatever is critical was missed.")
     elif estimates.missed_interval_unavailable is not None:
@@ -311,7 +313,7 @@ def _answer_missed(data: ReportData, critical: CriticalEstimates) -> Answer:
             f"{_describe_share(estimates.missed_fraction.value)} of the critical set"
             f" ({_format_interval(estimates.missed_fraction)})."
         )
-    if estimates is not None and critical.n_critical:
+    if estimates is not None and critical.n_critical and not estimates.is_exhausted:
         sentences.append(
             "That relies on a model of the scores. Without a model: a region in which nothing was run could hide"
             f" {format_percent(estimates.max_fraction_in_empty_region)} of the critical set."
