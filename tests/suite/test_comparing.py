@@ -335,8 +335,14 @@ def test_a_zero_with_another_sign_is_not_the_same_bytes_and_no_change(tmp_path):
 @pytest.mark.parametrize(
     ("more", "words"),
     [
-        ({"space": ParameterSpace.from_ranges(["a=0:1", "b=0:2"])}, "have different parameter spaces"),
-        ({"space": ParameterSpace.from_ranges(["a=0:1", "c=0:1"])}, "have different parameter spaces (a, b; a, c)"),
+        (
+            {"space": ParameterSpace.from_ranges(["a=0:1", "b=0:2"])},
+            "(only the first: b 0 to 1; only the second: b 0 to 2)",
+        ),
+        (
+            {"space": ParameterSpace.from_ranges(["a=0:1", "c=0:1"])},
+            "(only the first: b 0 to 1; only the second: c 0 to 1)",
+        ),
         ({"other": "Ego", "ego": "B"}, "measure different entities (Ego and B; B and Ego)"),
         ({"metrics": ("ttc",)}, "have different metrics (distance; ttc)"),
         ({"metrics": ("distance", "ttc")}, "choose among distance with `metrics`"),

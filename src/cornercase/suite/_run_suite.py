@@ -213,7 +213,7 @@ def _start_with_reference(
         check_reference_driver(reference)
         return factory(options | {"drivers": {**options["drivers"], ego: resolve_driver(reference)}})
     except InputError as error:
-        raise InputError(f"`require` no collision unless {reference} collides: {error}") from error
+        raise InputError(f"`require` names the reference driver {reference}: {error}") from error
 
 
 def _prepare_outputs(
