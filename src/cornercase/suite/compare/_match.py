@@ -224,16 +224,13 @@ def choose_compared_metrics(old: StudyFile, new: StudyFile, metrics: Sequence[st
             f"{pair}: are of {versions} ({a.file_name}, {b.file_name}); compare studies of the same scenarios."
         )
     if a.space.parameters != b.space.parameters:
-        old_ones, new_ones = (
-            [str(one) for one in mine if one not in others]
-            for mine, others in (
-                (a.space.parameters, b.space.parameters),
-                (b.space.parameters, a.space.parameters),
-            )
+        only_old, only_new = (
+            ", ".join(str(parameter) for parameter in mine.parameters if parameter not in other.parameters) or "nothing"
+            for mine, other in ((a.space, b.space), (b.space, a.space))
         )
         raise InputError(
-            f"{pair}: have different parameter spaces (only the first: {', '.join(old_ones) or 'nothing'}; only the"
-            f" second: {', '.join(new_ones) or 'nothing'}); compare studies of the same parameters and ranges."
+            f"{pair}: have different parameter spaces (only the first: {only_old}; only the second:"
+            f" {only_new}); compare studies of the same parameters and ranges."
         )
     if (a.ego, set(a.others)) != (b.ego, set(b.others)):
         entities = "; ".join(f"{meta.ego} and {', '.join(meta.others)}" for meta in (a, b))
