@@ -13,6 +13,7 @@ import pytest
 
 import cornercase as cc
 from cornercase.recordings import Recording
+from cornercase.report._commands import format_study_file
 from cornercase.simulators import Builtin
 from cornercase.study import StudyFile
 from helpers.command_line import SPACE, X
@@ -231,3 +232,12 @@ def test_a_study_whose_file_is_gone_still_shows_itself(problem, tmp_path):
 def test_a_number_of_the_file_is_not_taken_for_an_option_of_a_driver():
     with pytest.raises(cc.InputError, match="is a number of the file, and no parameter; make it one with"):
         cc.LogicalScenario.read(X, SPACE).vary("Pedestrian.initial.y", 3, 9)
+
+
+def test_a_study_file_says_that_rules_which_ended_the_search_are_not_in_it(problem, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    study = cc.Study.create("s.db", problem, seed=1)
+    study.explore("sobol", budget=40, batch=4, stop=cc.stop.no_improvement(1))
+    assert "such as --stop-when ended it, which a study does not hold" in format_study_file("s.db")
+    study.explore(budget=len(study.table()))
+    assert "--stop-when" not in format_study_file("s.db")

@@ -94,24 +94,28 @@ def _format_range(parameter: Parameter) -> str:
     return f"{parameter.name}={_format_number(parameter.low)}:{_format_number(parameter.high)}{step}"
 
 
-def describe_limits(meta: StudyMeta, n_ended: int) -> Iterator[str]:
+def describe_limits(meta: StudyMeta, n_ended: int, *, has_space_file: bool = False) -> Iterator[str]:
     """Yield a text for each part of a study that the command cannot express.
 
-    `n_ended` is the number of scenarios that have ended.
+    `n_ended` is the number of scenarios that have ended. `has_space_file` says that the command names the file of the
+    space.
     """
     if meta.optimizer.startswith(_ESTIMATE_PREFIX):
         yield "STUDY.db stands for the study that the estimate was made of."
     elif meta.suite:
         yield from describe_unnamed_drivers(meta)
     elif meta.simulator != IMPORTED_SIMULATOR:
-        if not all(map(_is_expressible_as_range, meta.space.parameters)):
+        if not has_space_file and not all(map(_is_expressible_as_range, meta.space.parameters)):
             yield (
                 f"{_SPACE_PLACEHOLDER} stands for the file that says what varies: the study holds"
                 f" its content, but not its name."
             )
         yield from describe_unnamed_drivers(meta)
         if n_ended < meta.budget:
-            yield f"The study holds {n_ended} scenarios of {meta.budget}: the search was ended before, or goes on."
+            yield (
+                f"The study holds {n_ended} scenarios of {meta.budget}: the search was interrupted, or goes on, or rules"
+                " such as --stop-when ended it, which a study does not hold."
+            )
 
 
 def describe_unnamed_drivers(meta: StudyMeta) -> Iterator[str]:
@@ -173,7 +177,7 @@ def format_study_file(study: StudyFile | Path | str) -> str:
         if scenario is not None and (space := _find_space_file(scenario, opened.space)) is not None:
             options.pop("ranges", None)
             options |= {"space": [_relative_path(space)]}
-        limits = [] if space is not None else describe_limits(meta, n_ended)
+        limits = describe_limits(meta, n_ended, has_space_file=space is not None)
         lines += [f"# {sentence}" for sentence in limits]
         name = meta.file_name if scenario is None else _relative_path(scenario.path)
         lines += [f"scenario = {_format_toml_string(name)}", *_format_settings(options)]
