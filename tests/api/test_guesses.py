@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 import shutil
 import sqlite3
 import subprocess
@@ -458,3 +459,18 @@ def test_errors_of_expressions_and_of_own_code_can_be_told_apart():
         cc.metrics.Expression.parse("ttc < 1 m")
     assert "^" in refused.value.excerpt
     assert issubclass(loose.exploration.UserCodeError, cc.InputError)
+
+
+@pytest.mark.parametrize(
+    ("word", "instead"),
+    [("analyze", "`cluster`"), ("run", "`explore`"), ("results", "`table()`"), ("importances", "`sensitivity()`")],
+)
+def test_words_of_other_libraries_lead_to_the_verbs_of_a_study(driven, word, instead):
+    with pytest.raises(AttributeError, match=re.escape(f"has no attribute '{word}'; use {instead}")):
+        getattr(driven, word)
+
+
+@pytest.mark.parametrize(("argument", "instead"), [("sampler", "`explore`"), ("load_if_exists", "open_or_create")])
+def test_what_is_no_part_of_a_new_study_is_said_to_belong_elsewhere(problem, tmp_path, argument, instead):
+    with pytest.raises(TypeError, match=instead):
+        loose.Study.create(tmp_path / "s.db", problem, **{argument: True})

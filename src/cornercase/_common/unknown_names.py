@@ -18,6 +18,8 @@ _ARGUMENT_SYNONYMS: Final = (
     ("callbacks", "stop", "call `explore` in a loop with a growing `budget`, and do there what a callback would."),
     ("condition", "critical_if", ""),
     ("direction", "metrics", "each metric says whether low or high scores are critical."),
+    ("load_if_exists", "problem", "use `Study.open_or_create`."),
+    ("optimizer", "problem", "give it to `explore`."),
     ("drivers", "simulator", "the simulator holds them: give `simulator=Builtin(drivers={…})`."),
     ("n_jobs", "runs", _WORKERS),
     ("n_jobs", "workers", ""),
@@ -25,22 +27,37 @@ _ARGUMENT_SYNONYMS: Final = (
     ("n_trials", "budget", ""),
     ("runs", "workers", "give the options of Runs themselves, as in `workers=4`."),
     ("sampler", "optimizer", ""),
+    ("sampler", "problem", "give it to `explore`, as `optimizer`."),
     ("stop", "stop_when", ""),
     ("threshold", "critical", ""),
     ("timeout", "stop", "give `stop=stop.seconds(…)`."),
     ("workers", "runs", _WORKERS),
 )
 _BEST: Final = "use `most_critical(1)`."
+_EXPLORE: Final = "use `explore`."
+_TABLE: Final = "use `table()`."
 ATTRIBUTE_SYNONYMS: Final = {
+    "analyze": "use `cluster`.",
+    "best": _BEST,
     "best_params": _BEST,
     "best_trial": _BEST,
     "best_trials": "use `pareto_front()`.",
     "best_value": _BEST,
     "compare": "use `cornercase.compare(old, new)`.",
     "create_study": "use `Study.create`.",
-    "optimize": "use `explore`.",
-    "trials": "use `table()`.",
-    "trials_dataframe": "use `table()`.",
+    "fit": _EXPLORE,
+    "get_param_importances": "use `sensitivity()`.",
+    "importances": "use `sensitivity()`.",
+    "load_study": "use `Study.open`.",
+    "optimize": _EXPLORE,
+    "plot": "use `report`.",
+    "read_study": "use `Study.open`.",
+    "results": _TABLE,
+    "run": _EXPLORE,
+    "to_csv": "use `table().to_csv(…)`.",
+    "trials": _TABLE,
+    "trials_dataframe": _TABLE,
+    "worst": _BEST,
 }
 
 

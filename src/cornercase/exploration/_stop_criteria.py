@@ -39,7 +39,7 @@ class StopCriteria:
         source_model: SourceStudyModel | None = None,
     ) -> None:
         if not has_audits and any(rule.quantity == "audited-missed" for rule in criteria):
-            raise InputError("`stop_when`: audited-missed needs audits; set `audit`, for example to 0.1.")
+            raise InputError("`stop_when`: audited-missed needs audits; begin a study with `audit`, for example 0.1.")
         if criteria and criterion is None:
             raise InputError("`stop_when`: needs a threshold; set one with `critical`.")
         self._criteria, self._space, self._criterion, self._seed = tuple(criteria), space, criterion, seed

@@ -113,8 +113,8 @@ def describe_limits(meta: StudyMeta, n_ended: int, *, has_space_file: bool = Fal
         yield from describe_unnamed_drivers(meta)
         if n_ended < meta.budget:
             yield (
-                f"The study holds {n_ended} scenarios of {meta.budget}: the search was interrupted, or goes on, or rules"
-                " such as --stop-when ended it, which a study does not hold."
+                f"The study holds {n_ended} scenarios of {meta.budget}: the search was interrupted, or goes on, or"
+                " rules such as --stop-when ended it, which a study does not hold."
             )
 
 
