@@ -35,7 +35,7 @@ def test_from_python_a_scenario_is_explored_by_its_path_or_as_it_was_read(tmp_pa
     assert search(logical, tmp_path / "b.db", budget=3).n_finished == 3
     driven = search(logical, tmp_path / "c.db", budget=2, drivers={"Ego": normal})
     with StudyFile.open(driven.study, readonly=True) as study:
-        assert study.meta.settings["drivers"] == {"Ego": normal.settings}
+        assert study.meta.settings["drivers"] == {"Ego": "normal"}
     with (
         StudyFile.open(tmp_path / "a.db", readonly=True) as one,
         StudyFile.open(tmp_path / "b.db", readonly=True) as two,

@@ -506,7 +506,7 @@ def test_a_driver_that_reacts_later_is_told_from_the_original(versions):
     assert result.exit_code == 1, result.output
     assert result.stdout.startswith("Mixed. Worse: ")
     assert "\n  Changed: " in result.stdout
-    assert "drivers Ego reaction time: 0.5 → 0.6" in result.stdout
+    assert "drivers Ego: normal → normal:reaction_time=0.6" in result.stdout
     plain = json.loads(ran("compare", *versions, "--json").stdout)
     assert plain["changed"]
     assert plain["pairs"]["count"] == 40
