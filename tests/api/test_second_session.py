@@ -18,6 +18,9 @@ from cornercase.simulators import Builtin
 from cornercase.study import StudyFile
 from helpers.command_line import SPACE, X
 
+# What no type checker would let through.
+loose: Any = cc.drivers
+
 pytestmark = pytest.mark.filterwarnings("ignore::cornercase.NoticeWarning")
 
 
@@ -241,3 +244,8 @@ def test_a_study_file_says_that_rules_which_ended_the_search_are_not_in_it(probl
     assert "such as --stop-when ended it, which a study does not hold" in format_study_file("s.db")
     study.explore(budget=len(study.table()))
     assert "--stop-when" not in format_study_file("s.db")
+
+
+def test_an_equipped_driver_is_made_of_a_driver_and_not_of_its_name():
+    with pytest.raises(cc.InputError, match=r"give a driver, as in EquippedDriver\(DRIVERS.create\('cautious'\)\)"):
+        loose.EquippedDriver("cautious")

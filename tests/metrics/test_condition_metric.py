@@ -165,6 +165,6 @@ def test_a_bound_at_the_cap_of_its_metric_is_critical_where_it_holds_alone(bound
 def test_a_condition_knows_the_signals_that_formulas_know(signal):
     recording = run(3.0)
     (condition,) = evaluate_metrics([CriticalIf(f"always({signal} < 3)")], recording, "Ego", ["Other"]).values()
-    (formula,) = evaluate_metrics([METRICS.create(f"stl:{signal} >= 3")], recording, "Ego", ["Other"]).values()
-    assert condition.score == pytest.approx(-3.0)
-    assert condition.score <= 0.0 < formula.score or formula.score < 0.0
+    (formula,) = evaluate_metrics([METRICS.create(f"stl:always({signal} < 3)")], recording, "Ego", ["Other"]).values()
+    # What makes a condition critical fulfils a formula.
+    assert -condition.score == formula.score == pytest.approx(3.0)

@@ -42,9 +42,9 @@ class SpaceSample:
         # Imported late, since it takes half a second.
         from scipy.stats import qmc
 
-        sizes = [parameter.size for parameter in space.parameters]
-        complete = None not in sizes and math.prod(size or 1 for size in sizes) <= _BLOCK_SIZE
-        sequence, points = qmc.Sobol(space.dimension, seed=np.random.default_rng([seed, 1])), np.zeros((0, len(sizes)))
+        complete = is_small_and_finite(space)
+        sequence = qmc.Sobol(space.dimension, seed=np.random.default_rng([seed, 1]))
+        points = np.zeros((0, space.dimension))
         for _ in range(1 if complete else _MAX_BLOCKS):
             more = space.snap(sequence.random(_BLOCK_SIZE))
             points = np.concatenate([points, more[space.is_admissible(more)]])
@@ -83,6 +83,12 @@ class SpaceSample:
         weights = self.weights[-_N_VOLUME_POINTS:] / self.weights[-_N_VOLUME_POINTS:].sum()
         radii = _squared_distances(centers, run).min(axis=1) - _DISTANCE_TOLERANCE
         return np.asarray((_squared_distances(centers, others) < radii[:, None]) @ weights)
+
+
+def is_small_and_finite(space: ParameterSpace) -> bool:
+    """Whether a space has so few scenarios that its sample contains all of them."""
+    sizes = [parameter.size for parameter in space.parameters]
+    return None not in sizes and math.prod(size or 1 for size in sizes) <= _BLOCK_SIZE
 
 
 def _all_scenarios(space: ParameterSpace, first: FloatArray, seed: int) -> tuple[FloatArray, FloatArray]:

@@ -15,7 +15,7 @@ from cornercase.metrics._distance import Clearance
 from cornercase.metrics._evaluation import Evaluation, evaluate_run
 from cornercase.metrics._expression import DEFAULT_CAP, Expression
 from cornercase.metrics._registry import METRICS
-from cornercase.metrics.expressions._ast import Bound, EgoCollides
+from cornercase.metrics.expressions._ast import EgoCollides
 from cornercase.metrics.expressions._recorded_signals import (
     CONDITION_METRIC,
     SCORE_PREFIX,
@@ -122,9 +122,8 @@ class CriticalIf(Metric):
         scores = {f"{SCORE_PREFIX}{name})": parts[name].clip_course(course) for name, course in courses.items()}
         signals = signals_from_recording(recording, ego, other, courses)
         # Some signals are computed only when they are asked for.
-        bounds = [leaf for leaf in self.condition.leaves if isinstance(leaf, Bound)]
-        others = {signal.name for bound in bounds for signal in bound.signals if signal.name not in scores}
-        values = {**signals.values, **{name: signals.values[name] for name in others}, **scores}
+        names = {signal.name for bound in self.condition.bounds for signal in bound.signals} | courses.keys()
+        values = {name: signals.values[name] for name in names - scores.keys()} | scores
         signals = Signals(recording.time, values, recording, ego, (other,))
         distance = 0.0 - Evaluation.from_signals(self.condition.root, signals).robustness_at_instants()
         defined = [~np.isnan(course) for course in courses.values()]

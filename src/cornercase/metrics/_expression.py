@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from cornercase._common.errors import ExpressionError as ExpressionError
+from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray
-from cornercase._common.validation import check_str
+from cornercase._common.validation import repr_short
 from cornercase.metrics._evaluation import Evaluation
 from cornercase.metrics._registry import METRICS
 from cornercase.metrics.expressions._ast import (
@@ -83,7 +84,9 @@ class Expression:
         InputError
             The text is no expression, or no text; the message marks the position and says what to write there.
         """
-        root = parse_expression(text if isinstance(text, str) else check_str("text", text), language)
+        if not isinstance(text, str):
+            raise InputError(f"`text` {repr_short(text)}: give a text.")
+        root = parse_expression(text, language)
         return cls(root, format_node(root, as_condition=language == "condition"))
 
     def __str__(self) -> str:

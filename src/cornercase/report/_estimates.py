@@ -16,7 +16,7 @@ from cornercase.evidence._critical_set_estimate import MIN_REGION_FRACTION
 from cornercase.evidence._proportions import proportion_interval
 from cornercase.evidence._score_surrogate import ScoreSurrogate, fit_surrogate
 from cornercase.evidence._sensitivity import sensitivity_of_surrogate
-from cornercase.evidence._space_sample import SpaceSample
+from cornercase.evidence._space_sample import SpaceSample, is_small_and_finite
 from cornercase.exploration._best_scores import is_on_pareto_front
 from cornercase.exploration._study_critical_set import estimate_critical_set, uses_features
 from cornercase.study import StudyFile
@@ -350,13 +350,12 @@ def estimate_critical(study: StudyFile) -> CriticalEstimates | None:
 
 def _estimate_exhausted_space(study: StudyFile) -> CriticalSetEstimates | None:
     """What is known of a finite space if all its scenarios were run, however few; None of any other space."""
-    sizes = [parameter.size for parameter in study.space.parameters]
-    if None in sizes:
+    if not is_small_and_finite(study.space):
         return None
     sample = SpaceSample.from_space(study.space, study.meta.seed)
     outcomes = dict(zip(row_keys(study.space.snap(study.points())), study.critical_mask().tolist(), strict=True))
     keys = row_keys(study.space.snap(sample.points))
-    if not sample.is_complete or not outcomes.keys() >= set(keys):
+    if not outcomes.keys() >= set(keys):
         return None
     fraction = float(sample.weights[[outcomes[key] for key in keys]].sum())
     exact, nothing = Estimate(fraction, fraction, fraction), Estimate(0.0, 0.0, 0.0)
