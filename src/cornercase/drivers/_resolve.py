@@ -71,7 +71,7 @@ def _check_driver(entity: str, driver: object) -> str | Driver:
             return resolve_driver(driver)
         return driver
     if is_driver(driver):
-        return _equal_name(driver) or driver
+        return _name_of_equal_driver(driver) or driver
     if isinstance(driver, type):
         raise InputError(
             f"`drivers` {entity}: {driver.__name__} is a class; give an object of it, as in"
@@ -261,7 +261,7 @@ def resolve_driver(driver: DriverLike) -> str | Driver:
     return created
 
 
-def _equal_name(driver: Driver) -> str:
+def _name_of_equal_driver(driver: Driver) -> str:
     """Name, with options, that makes an equal driver; empty if there is none, or not all of it is cornercase's own."""
     parts = (driver.driver, *driver.equipment) if isinstance(driver, EquippedDriver) else (driver,)
     if not all(map(is_built_in, parts)):

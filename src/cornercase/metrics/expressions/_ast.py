@@ -18,8 +18,8 @@ Operator = Literal["no", "unless", "not", "and", "or", "->", "always", "eventual
 
 TEMPORAL: Final = frozenset({"always", "eventually", "until"})
 # A name ends where an operator begins, whatever the case in which it is written.
-_AFTER_NAME: Final = r"(?:(?i:and|or|until|unless)(?=[\s()\[]|$)|->|&&|\|\|)"
-_PART_OF_NAME: Final = rf"(?!{_AFTER_NAME})(?:\([^()]*\)|(?!->)[^\s()<>])+"
+_END_OF_NAME: Final = r"(?:(?i:and|or|until|unless)(?=[\s()\[]|$)|->|&&|\|\|)"
+_PART_OF_NAME: Final = rf"(?!{_END_OF_NAME})(?:\([^()]*\)|(?!->)[^\s()<>])+"
 ENTITY_NAME: Final = rf'(?!"){_PART_OF_NAME}(?:\s+{_PART_OF_NAME})*'
 """Pattern of the names of entities that need no quotes."""
 
