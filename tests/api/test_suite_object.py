@@ -31,6 +31,7 @@ def test_a_suite_runs_beside_its_folder_and_writes_what_the_command_writes(reduc
         or len(suite.table()) == 4
     )
     result = suite.run(require=["no collision"])
+    assert suite.table().index.equals(result.table().index)
     assert result.study == reduced.with_name("reduced.run.db")
     assert result.junit(tmp_path / "verb.xml") == tmp_path / "verb.xml"
     result.markdown(tmp_path / "verb.md")

@@ -302,6 +302,24 @@ def test_an_operator_of_another_language_behind_a_name_is_no_part_of_it(operator
         Expression.parse(f"collision with C {operator} ttc < 1")
 
 
+# Without roads, nobody knows where the lane is.
+@pytest.mark.parametrize(
+    ("text", "state", "score"),
+    [
+        ("ego leaves its lane", "inconclusive", float("nan")),
+        ("no collision and ego stays in its lane", "inconclusive", float("nan")),
+        ("collision and ego stays in its lane", "failed", -3.0),
+        ("always[100:200](ego leaves its lane)", "passed", float("inf")),
+        ("eventually[100:200](ego leaves its lane)", "failed", -float("inf")),
+    ],
+)
+def test_what_a_run_does_not_show_matters_to_a_formula_where_it_does_to_a_requirement(text, state, score):
+    recording = met(([0.0, 1.0, 2.0], 0.0, 0.0, 10.0), ([10.0, 9.0, 9.0], 0.0, 0.0, 0.0))
+    assert judge(Requirement.parse(text), recording, "Ego", "Other").state == state
+    first = measure(recording, "Ego", "Other", [f"stl:{text}"]).courses[f"stl:{text}"][0]
+    assert first == pytest.approx(score, nan_ok=True)
+
+
 @pytest.mark.parametrize("text", [3, None, b"ttc < 1", ["ttc < 1"]])
 def test_what_is_no_text_is_refused(text):
     with pytest.raises(InputError, match="give a text"):

@@ -187,8 +187,9 @@ class Suite:
         Returns
         -------
         DataFrame
-            One row per scenario: ``file``, ``kind`` (the cluster that it represents), ``role``, ``why`` (the reason for
-            its selection), and ``error`` (why it cannot be run). Unknown values are empty.
+            One row per scenario, indexed by its id in the study of a run, from 1: ``file``, ``kind`` (the cluster that
+            it represents), ``role``, ``why`` (the reason for its selection), and ``error`` (why it cannot be run).
+            Unknown values are empty.
         """
         import pandas as pd
 
@@ -197,7 +198,8 @@ class Suite:
             [
                 {name: getattr(scenario, attribute) for name, attribute in columns.items()} | {"error": scenario.error}
                 for scenario in self._contents.scenarios
-            ]
+            ],
+            index=pd.RangeIndex(1, len(self._contents.scenarios) + 1, name="id"),
         )
 
     def __repr__(self) -> str:

@@ -78,6 +78,16 @@ class Evaluation:
             return None
         return True if self.holds(-np.inf)[0] else None
 
+    def is_shown(self) -> bool:
+        """Whether the run shows if the expression holds, where a bound that is never defined is not violated.
+
+        False, too, if there are bounds, and none of its parts is known.
+        """
+        unknown = [leaf for leaf, values in self.leaves.items() if not values.is_known]
+        if len(unknown) == len(self.leaves) and any(isinstance(leaf, Bound) for leaf in unknown):
+            return False
+        return bool(self.holds()[0] == self.holds(-np.inf)[0])
+
     def find_decisive_leaf(self) -> tuple[Leaf, int] | None:
         """Bound or statement, and instant, that decides the robustness at the first instant; None if that is infinite.
 

@@ -22,7 +22,7 @@ class Stl(Metric):
 
     The course is the robustness from each instant on; the score is the robustness at the first instant. The unit is
     that of the formula's bounds, or 1 if they have several units. Not defined (NaN at all instants) if no bound was
-    ever defined.
+    ever defined, or if it depends on what the run does not show, as on lanes without the roads.
 
     The cap follows from the parts of the formula; the largest counts. If a part compares a metric with a number, it is
     the distance of the number from the cap of the metric, so ``stl:always(clearance > 0.5)`` scores the ``clearance``
@@ -78,7 +78,7 @@ class Stl(Metric):
 
     def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
         evaluation = Evaluation.from_signals(self.formula.root, signals_from_recording(recording, ego, other))
-        if not any(values.is_known for values in evaluation.leaves.values()):
+        if not evaluation.is_shown():
             return np.full(len(recording.time), np.nan)
         return evaluation.robustness()
 
