@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 import cornercase as cc
+from cornercase.suite import Requirement
 from helpers.command_line import SPACE, X, cornercase
 
 pytestmark = pytest.mark.filterwarnings("ignore::cornercase.NoticeWarning")
@@ -53,6 +54,13 @@ def test_the_table_of_a_result_has_a_row_per_scenario(reduced):
     }
     assert table["wttc"].tolist() == [scenario.scores["wttc"] for scenario in result.scenarios]
     assert result._repr_html_().count("<tr") == 1 + 1 + len(table)
+
+
+def test_requirements_can_be_objects(reduced):
+    requirement, expression = Requirement.parse("no collision"), cc.metrics.Expression.parse("wttc > 0.5 s")
+    verdicts = cc.Suite.open(reduced).run(require=[requirement, expression]).scenarios[0].verdicts
+    assert [verdict.requirement for verdict in verdicts] == [requirement.text, expression.text]
+    assert cc.Suite.open(reduced).run(require=requirement).scenarios[0].verdicts == verdicts[:1]
 
 
 def test_what_is_no_suite_is_refused_when_it_is_opened(tmp_path):

@@ -25,6 +25,7 @@ def test_options_stand_behind_a_colon():
     for name, sentence in (
         ("ttc:fast=true", "has no option 'fast'"),
         ("ttc:accelerating", "as in 'ttc:name=value'"),
+        ("ttc:true", "as in 'ttc:accelerating=true'"),
         ("wtc:accelerating=true", "did you mean 'wttc'"),
         ("drac:x=1", "drac"),
         ("delta-v:masses=5", "delta-v"),

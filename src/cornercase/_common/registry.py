@@ -367,9 +367,12 @@ def parse_options(
     for option in text.split(","):
         key, equals, value = (part.strip() for part in option.partition("="))
         if not (key.isidentifier() and equals):
+            # What has no name may be the value of the first option.
+            is_value = bool(declared and key and not equals) and key not in declared
+            example = f"{next(iter(declared))}={key}" if is_value else "name=value"
             raise InputError(
                 f"The {kind} '{name}:{text}' has the option '{option}' without a name or value; give options as in"
-                f" '{name}:name=value'."
+                f" '{name}:{example}'."
             )
         if key in options:
             raise InputError(f"The {kind} '{name}:{text}' has the option '{key}' twice; give it once.")

@@ -14,9 +14,9 @@ from cornercase.drivers._resolve import DriverLike, check_drivers
 from cornercase.exploration import Runs
 from cornercase.exploration._problem import suggest_arguments
 from cornercase.exploration._runs import single_run_settings
-from cornercase.metrics import Metric
+from cornercase.metrics import Expression, Metric
 from cornercase.simulators import Simulator
-from cornercase.suite import SuiteResult, run_suite
+from cornercase.suite import Requirement, SuiteResult, run_suite
 from cornercase.suite._read_suite import read_suite
 from cornercase.suite._suite_contents import SuiteContents
 
@@ -93,7 +93,7 @@ class Suite:
         self,
         study: Path | str | None = None,
         *,
-        require: Sequence[str] = (),
+        require: Sequence[str | Expression | Requirement] = (),
         requirements: Path | str | None = None,
         require_from_file: bool = False,
         metrics: Metric | str | Sequence[Metric | str] = (),
@@ -115,7 +115,7 @@ class Suite:
         study : path, optional
             Study to create or continue. By default it is beside the folder of the suite, with the name of the folder
             and ``.run.db``. Each driver or simulator needs a study of its own.
-        require : sequence of str
+        require : sequence of str, Expression or Requirement
             Requirements on each scenario, as `cornercase.suite.Requirement.parse` reads them.
         requirements : path, optional
             TOML or YAML file with further requirements.

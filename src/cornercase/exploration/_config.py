@@ -28,7 +28,7 @@ from cornercase.exploration._explore_options import (
     ExplorationOptions,
     stored_values,
 )
-from cornercase.metrics import METRICS, CriticalIf, Metric
+from cornercase.metrics import METRICS, CriticalIf, Expression, Metric
 from cornercase.metrics._other_entities import ALL_OTHERS, resolve_others
 from cornercase.metrics._own_metrics import StoredMetric, as_items, name_or_own_metric, resolve_metrics
 from cornercase.optimizers import OPTIMIZERS, Optimizer
@@ -153,6 +153,9 @@ class ExplorationConfig(ExplorationOptions):
             self.logical.scenario_file.require_entity(other, "other")
         for entity in self.drivers:
             self.logical.scenario_file.require_entity(entity, "driven entity")
+        if self.critical_if is not None:
+            for entity in Expression.parse(self.critical_if, "condition").entities:
+                self.logical.scenario_file.require_entity(entity, "one that collides in `critical_if`")
 
     def make_objective(self, metrics: Sequence[Metric] | None = None, *, needs_threshold: bool = False) -> Objective:
         """Create the objective from the metrics, unless others are given, with weights, Pareto front and threshold.

@@ -15,7 +15,7 @@ from cornercase._common.unknown_names import suggest_arguments as suggest_names
 from cornercase._common.validation import repr_short
 from cornercase.exploration._config import ExplorationConfig, metrics_to_continue, read_logical_scenario
 from cornercase.exploration._constant_metrics import warn_about_threshold
-from cornercase.metrics import Metric
+from cornercase.metrics import Expression, Metric
 from cornercase.scenario import LogicalScenario
 from cornercase.study import StudyFile
 from cornercase.study._import_recordings import IMPORTED_SIMULATOR
@@ -59,7 +59,7 @@ class Problem:
         class, derived from `cornercase.Metric`. All are stored; the first is searched unless `weights` are given.
     threshold : float, optional
         Score from which a scenario is critical, in the unit of the objective. Default: the metric's own.
-    condition : str, optional
+    condition : str or Expression, optional
         Condition that replaces metric and threshold, and is searched: ``"collision and not reference:cc-human"``, where
         ``reference:NAME`` says that the ego would also collide if this driver drove it. An expression of the same
         language as formulas and requirements; outside of temporal operators, a bound such as ``ttc < 1`` is on the
@@ -90,7 +90,7 @@ class Problem:
     other: str | Sequence[str]
     metrics: Metric | str | Sequence[Metric | str]
     threshold: float | None = None
-    condition: str | None = None
+    condition: str | Expression | None = None
     weights: Mapping[str, float] = field(default_factory=dict)
     pareto: bool = False
 
@@ -99,6 +99,8 @@ class Problem:
             raise InputError(
                 f"`scenario` {repr_short(self.scenario)}: give a scenario that `LogicalScenario.read` has read."
             )
+        if isinstance(self.condition, Expression):
+            object.__setattr__(self, "condition", self.condition.text)
         with name_arguments_of_objects():
             config = config_from_problem(self)
             config.require_entities()
@@ -156,7 +158,7 @@ def config_from_problem(problem: Problem, **settings: Any) -> ExplorationConfig:
         other=problem.other,
         metrics=problem.metrics,
         critical=problem.threshold,
-        critical_if=problem.condition,
+        critical_if=None if problem.condition is None else str(problem.condition),
         weights=problem.weights,
         pareto=problem.pareto,
         **settings,

@@ -20,7 +20,7 @@ from cornercase.drivers import Driver
 from cornercase.drivers._description import require_storable_drivers
 from cornercase.drivers._resolve import DriverLike, check_drivers, check_reference_driver, resolve_driver
 from cornercase.exploration._explore_options import OPTIONS
-from cornercase.metrics import METRICS, Metric
+from cornercase.metrics import METRICS, Expression, Metric
 from cornercase.metrics._critical_if import find_critical_if_condition
 from cornercase.metrics._other_entities import ALL_OTHERS, resolve_others
 from cornercase.metrics._own_metrics import resolve_metrics
@@ -72,7 +72,7 @@ def run_suite(
     suite: Path | str,
     study: Path | str,
     *,
-    require: Sequence[str] = (),
+    require: Sequence[str | Expression | Requirement] = (),
     requirements: Path | str | None = None,
     require_from_file: bool = False,
     against: Path | str | None = None,
@@ -94,7 +94,7 @@ def run_suite(
         Folder of a reduced set or its manifest, or any folder of concrete scenarios.
     study : path
         Study to create or continue.
-    require : sequence of str
+    require : sequence of str, Expression or Requirement
         Requirements on each scenario, as `cornercase.suite.Requirement.parse` reads them.
     requirements : path, optional
         TOML or YAML file with further requirements.
@@ -250,7 +250,13 @@ def _require_own_output(name: str, path: Path, first_bytes: bytes) -> None:
             raise InputError(f"`{name}` {path}: exists and has other content; choose another name, or remove it.")
 
 
-def _parse_requirements(require: Sequence[str], requirements: Path | str | None) -> list[Requirement]:
+def _parse_requirements(
+    require: Sequence[str | Expression | Requirement], requirements: Path | str | None
+) -> list[Requirement]:
+    if isinstance(require, Expression | Requirement):
+        require = [require]
+    if isinstance(require, list | tuple):
+        require = [item.text if isinstance(item, Expression | Requirement) else item for item in require]
     parsed = [Requirement.parse(item) for item in check_str_sequence("require", require)]
     if requirements is not None:
         parsed += read_requirements(path_argument("requirements", requirements))
