@@ -60,7 +60,7 @@ def test_requirements_can_be_objects(reduced):
     requirement, expression = Requirement.parse("no collision"), cc.metrics.Expression.parse("wttc > 0.5 s")
     verdicts = cc.Suite.open(reduced).run(require=[requirement, expression]).scenarios[0].verdicts
     assert [verdict.requirement for verdict in verdicts] == [requirement.text, expression.text]
-    assert cc.Suite.open(reduced).run(require=requirement).scenarios[0].verdicts == verdicts[:1]
+    assert cc.Suite.open(reduced).run(require=[requirement.text]).scenarios[0].verdicts == verdicts[:1]
 
 
 def test_what_is_no_suite_is_refused_when_it_is_opened(tmp_path):

@@ -86,7 +86,7 @@ class Evaluation:
         unknown = [leaf for leaf, values in self.leaves.items() if not values.is_known]
         if len(unknown) == len(self.leaves) and any(isinstance(leaf, Bound) for leaf in unknown):
             return False
-        return bool(self.holds()[0] == self.holds(-np.inf)[0])
+        return not unknown or bool(self.holds()[0] == self.holds(-np.inf)[0])
 
     def find_decisive_leaf(self) -> tuple[Leaf, int] | None:
         """Bound or statement, and instant, that decides the robustness at the first instant; None if that is infinite.

@@ -253,8 +253,6 @@ def _require_own_output(name: str, path: Path, first_bytes: bytes) -> None:
 def _parse_requirements(
     require: Sequence[str | Expression | Requirement], requirements: Path | str | None
 ) -> list[Requirement]:
-    if isinstance(require, Expression | Requirement):
-        require = [require]
     if isinstance(require, list | tuple):
         require = [item.text if isinstance(item, Expression | Requirement) else item for item in require]
     parsed = [Requirement.parse(item) for item in check_str_sequence("require", require)]
