@@ -20,7 +20,10 @@ def scenario() -> cc.LogicalScenario:
         ({"metrics": "wttc", "threshold": 0.2}, "critical if wttc <= 0.2 s"),
         ({"metrics": cc.metrics.Ttc(accelerating=True)}, "critical if ttc:accelerating=true <= 1.5 s"),
         ({"metrics": ["wttc"], "condition": "collision"}, "critical if collision"),
-        ({"metrics": ["wttc"], "condition": cc.metrics.Expression.parse("ttc<1 s")}, "critical if ttc < 1 s"),
+        (
+            {"metrics": ["wttc"], "condition": cc.metrics.Expression.parse("ttc<1 s", "condition")},
+            "critical if ttc < 1 s",
+        ),
         ({"metrics": ["wttc", "distance"], "pareto": True}, "searched by Pareto front of wttc, distance"),
         (
             {"metrics": ["wttc", "distance"], "weights": {"wttc": 1, "distance": 2}, "threshold": 3},
@@ -51,6 +54,8 @@ def test_it_says_what_is_critical(scenario, arguments, criterion):
         ({"metrics": ["wttc", "distance"], "pareto": True, "threshold": 1.0}, "a Pareto front has no threshold"),
         ({"weights": {"distance": 1.0}}, "^`weights` distance: `metrics` are wttc; name it there, too"),
         ({"weights": {"wtc": 1.0}}, "^`weights` wtc: is not one of the metrics; did you mean 'wttc'"),
+        ({"condition": cc.metrics.Expression.parse("ttc<1")}, 'is a formula, .* the language "condition"'),
+        ({"condition": "collision with Ego"}, "^`condition` collision with Ego: names the ego itself"),
         (
             {"condition": "no collision with Pedestrain"},
             "no entity 'Pedestrain' to be the one that collides in `condition`; did you mean 'Pedestrian'",

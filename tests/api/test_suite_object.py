@@ -57,9 +57,11 @@ def test_the_table_of_a_result_has_a_row_per_scenario(reduced):
 
 
 def test_requirements_can_be_objects(reduced):
-    requirement, expression = Requirement.parse("no collision"), cc.metrics.Expression.parse("wttc > 0.5 s")
+    requirement, expression = Requirement.parse("no collision"), cc.metrics.Expression.parse("score(wttc) > 0.5 s")
+    condition = cc.metrics.Expression.parse("wttc > 0.5 s", "condition")
     verdicts = cc.Suite.open(reduced).run(require=[requirement, expression]).scenarios[0].verdicts
     assert [verdict.requirement for verdict in verdicts] == [requirement.text, expression.text]
+    assert cc.Suite.open(reduced).run(require=[condition]).scenarios[0].verdicts == verdicts[1:]
     assert cc.Suite.open(reduced).run(require=[requirement.text]).scenarios[0].verdicts == verdicts[:1]
 
 

@@ -155,6 +155,8 @@ class ExplorationConfig(ExplorationOptions):
             self.logical.scenario_file.require_entity(entity, "driven entity")
         if self.critical_if is not None:
             for entity in Expression.parse(self.critical_if, "condition").entities:
+                if entity == self.ego:
+                    raise InputError(f"`critical_if` {self.critical_if}: names the ego itself; name another entity.")
                 self.logical.scenario_file.require_entity(entity, "one that collides in `critical_if`")
 
     def make_objective(self, metrics: Sequence[Metric] | None = None, *, needs_threshold: bool = False) -> Objective:

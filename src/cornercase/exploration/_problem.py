@@ -100,7 +100,7 @@ class Problem:
                 f"`scenario` {repr_short(self.scenario)}: give a scenario that `LogicalScenario.read` has read."
             )
         if isinstance(self.condition, Expression):
-            object.__setattr__(self, "condition", self.condition.text)
+            object.__setattr__(self, "condition", _condition_text(self.condition))
         with name_arguments_of_objects():
             config = config_from_problem(self)
             config.require_entities()
@@ -128,6 +128,16 @@ class Problem:
 
 
 Problem.__init__ = suggest_arguments(Problem.__init__)  # type: ignore[method-assign]
+
+
+def _condition_text(expression: Expression) -> str:
+    """Return the text of a condition; InputError if as a condition it means something else than the expression."""
+    if Expression.parse(expression.text, "condition").root != expression.root:
+        raise InputError(
+            f"`condition` {expression}: is a formula, and in a condition a bound is on the score; parse it with the"
+            ' language "condition", or write always(…).'
+        )
+    return expression.text
 
 
 def problem_from_study(study: StudyFile, scenario: Path | None) -> Problem:

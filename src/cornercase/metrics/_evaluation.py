@@ -81,12 +81,14 @@ class Evaluation:
     def is_shown(self) -> bool:
         """Whether the run shows if the expression holds, where a bound that is never defined is not violated.
 
-        False, too, if there are bounds, and none of its parts is known.
+        If nothing violates it, there are bounds, and none of its parts is known, the run does not show it.
         """
         unknown = [leaf for leaf, values in self.leaves.items() if not values.is_known]
+        if not unknown or not self.holds()[0]:
+            return True
         if len(unknown) == len(self.leaves) and any(isinstance(leaf, Bound) for leaf in unknown):
             return False
-        return not unknown or bool(self.holds()[0] == self.holds(-np.inf)[0])
+        return bool(self.holds(-np.inf)[0])
 
     def find_decisive_leaf(self) -> tuple[Leaf, int] | None:
         """Bound or statement, and instant, that decides the robustness at the first instant; None if that is infinite.

@@ -205,3 +205,8 @@ def _cap_of_leaf(leaf: Leaf) -> float:
     if not isinstance(leaf, Bound) or isinstance(leaf.right, Signal) or not leaf.left.metric:
         return DEFAULT_CAP
     return abs(METRICS.create(leaf.left.metric).cap - leaf.right)
+
+
+def formula_text(expression: Expression) -> str:
+    """Return the text of an expression as a formula; that of a condition leaves out that a bound is on a score."""
+    return format_node(expression.root)

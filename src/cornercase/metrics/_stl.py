@@ -80,7 +80,8 @@ class Stl(Metric):
         evaluation = Evaluation.from_signals(self.formula.root, signals_from_recording(recording, ego, other))
         if not evaluation.is_shown():
             return np.full(len(recording.time), np.nan)
-        return evaluation.robustness()
+        # What is not known counts against the side that is decided.
+        return evaluation.robustness(-np.inf if evaluation.holds()[0] else np.inf)
 
     def score(self, course: FloatArray) -> float:
         return float(self.clip_course(course[:1])[0])

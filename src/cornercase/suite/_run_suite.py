@@ -22,6 +22,7 @@ from cornercase.drivers._resolve import DriverLike, check_drivers, check_referen
 from cornercase.exploration._explore_options import OPTIONS
 from cornercase.metrics import METRICS, Expression, Metric
 from cornercase.metrics._critical_if import find_critical_if_condition
+from cornercase.metrics._expression import formula_text
 from cornercase.metrics._other_entities import ALL_OTHERS, resolve_others
 from cornercase.metrics._own_metrics import resolve_metrics
 from cornercase.simulators import Simulator
@@ -254,7 +255,8 @@ def _parse_requirements(
     require: Sequence[str | Expression | Requirement], requirements: Path | str | None
 ) -> list[Requirement]:
     if isinstance(require, list | tuple):
-        require = [item.text if isinstance(item, Expression | Requirement) else item for item in require]
+        require = [formula_text(item) if isinstance(item, Expression) else item for item in require]
+        require = [item.text if isinstance(item, Requirement) else item for item in require]
     parsed = [Requirement.parse(item) for item in check_str_sequence("require", require)]
     if requirements is not None:
         parsed += read_requirements(path_argument("requirements", requirements))
