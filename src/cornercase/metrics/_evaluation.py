@@ -78,17 +78,19 @@ class Evaluation:
             return None
         return True if self.holds(-np.inf)[0] else None
 
-    def is_shown(self) -> bool:
-        """Whether the run shows if the expression holds, where a bound that is never defined is not violated.
+    def shown_robustness(self) -> FloatArray:
+        """Robustness from each instant on, (T,); NaN at all of them if the run does not show whether it holds.
 
-        If nothing violates it, there are bounds, and none of its parts is known, the run does not show it.
+        That is so if only what is unknown could violate it, or if none of its parts is known and one is a bound. What
+        is unknown counts against the side that is decided.
         """
         unknown = [leaf for leaf, values in self.leaves.items() if not values.is_known]
         if not unknown or not self.holds()[0]:
-            return True
-        if len(unknown) == len(self.leaves) and any(isinstance(leaf, Bound) for leaf in unknown):
-            return False
-        return bool(self.holds(-np.inf)[0])
+            return self.robustness()
+        is_nothing_known = len(unknown) == len(self.leaves) and any(isinstance(leaf, Bound) for leaf in unknown)
+        if is_nothing_known or not self.holds(-np.inf)[0]:
+            return np.full(self.signals.time.shape, np.nan)
+        return self.robustness(-np.inf)
 
     def find_decisive_leaf(self) -> tuple[Leaf, int] | None:
         """Bound or statement, and instant, that decides the robustness at the first instant; None if that is infinite.

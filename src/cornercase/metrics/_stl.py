@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-import numpy as np
-
 from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray
 from cornercase.metrics._base import Metric
@@ -77,11 +75,8 @@ class Stl(Metric):
         self.formula.check_installed()
 
     def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
-        evaluation = Evaluation.from_signals(self.formula.root, signals_from_recording(recording, ego, other))
-        if not evaluation.is_shown():
-            return np.full(len(recording.time), np.nan)
-        # What is not known counts against the side that is decided.
-        return evaluation.robustness(-np.inf if evaluation.holds()[0] else np.inf)
+        signals = signals_from_recording(recording, ego, other)
+        return Evaluation.from_signals(self.formula.root, signals).shown_robustness()
 
     def score(self, course: FloatArray) -> float:
         return float(self.clip_course(course[:1])[0])
