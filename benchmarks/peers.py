@@ -12,10 +12,11 @@ its runs takes for critical:
 - ``parameters``: of the process and a random forest of the parameters, the one with the least log loss in five folds.
 
 Peers: ``forest-al``, a few lines: extremely randomised trees on the parameters, asked where p (1 - p) times the
-distance to what was run is largest; ``optuna (TPE)`` by Optuna; ``evolutionary`` by pymoo; ``verifai-ce`` (cross
-entropy) and ``verifai-mab`` (multi-armed bandit) by VerifAI with its own settings, if it is installed (``pip install
-verifai``, in an environment of its own). Rounds are of ten. Results are written to --json as they come, and what is
-there already is not run again.
+distance to what was run is largest; ``optuna (TPE)`` by Optuna; ``evolutionary`` by pymoo; ``botorch``, a Gaussian
+process of BoTorch with its own settings, asked where it is least sure on which side of the threshold a scenario is
+(straddle); ``verifai-ce`` (cross entropy) and ``verifai-mab`` (multi-armed bandit) by VerifAI with its own settings.
+BoTorch and VerifAI have to be installed (``pip install botorch verifai``, in an environment of its own). Rounds are of
+ten. Results are written to --json as they come, and what is there already is not run again.
 """
 
 from __future__ import annotations
@@ -24,7 +25,9 @@ import argparse
 import json
 import random
 import time
-from collections.abc import Iterable
+from abc import abstractmethod
+from collections.abc import Callable, Iterable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -47,12 +50,14 @@ KINDS = ("sobol", "bayes", "level-set", "committee", "auto", "forest-al")
 VERIFAI = {"verifai-ce": "crossEntropySamplerFor", "verifai-mab": "multiArmedBanditSamplerFor"}
 JUDGES = ("own", "features", "parameters")
 ROUND, INITIAL, TREES, CANDIDATES, FILLING, WIDTH = 10, 24, 100, 4096, 0.2, 0.1
+# A failed scenario is not critical.
+FAILED = 1e3
 
 
-class ActiveForest(Optimizer):
-    """Samples where trees on the parameters are uncertain, away from what was run; a fifth fills the space."""
+class Filled(Optimizer):
+    """Begins with a Sobol' sequence, of which a fifth of the later scenarios are as well."""
 
-    name, requires = "forest-al", frozenset({"threshold"})
+    requires = frozenset({"threshold"})
 
     def prepare(self, space: Any, seed: int, *further: Any, **required: Any) -> None:
         """Prepare the search of a space."""
@@ -72,8 +77,22 @@ class ActiveForest(Optimizer):
         first = self._sequence.ask(min(filling, n))
         if len(first) == n:
             return first
-        points = self._points[np.isfinite(self._scores)]
-        scores = self._scores[np.isfinite(self._scores)]
+        finite = np.isfinite(self._scores)
+        return np.concatenate([self.choose(n - len(first), first, self._points[finite], self._scores[finite]), first])
+
+    @abstractmethod
+    def choose(self, n: int, first: Floats, points: Floats, scores: Floats) -> Floats:
+        """Choose n points besides the first ones of a round, from those that have a score."""
+
+
+class ActiveForest(Filled):
+    """Samples where trees on the parameters are uncertain, away from what was run."""
+
+    name = "forest-al"
+
+    def choose(self, n: int, first: Floats, points: Floats, scores: Floats) -> Floats:
+        """Choose n points by trees."""
+        known = len(self._points)
         critical = scores <= max(self._threshold, scores.min())
         everywhere = Sobol().start(self._space, self._seed + known + 1).ask(CANDIDATES // 2)
         rng = np.random.default_rng([self._seed, known])
@@ -87,10 +106,52 @@ class ActiveForest(Optimizer):
         gain = p * (1.0 - p) + 1e-9
         distance = np.asarray(cKDTree(np.concatenate([self._points, first])).query(candidates)[0])
         chosen: list[int] = []
-        for _ in range(n - len(first)):
+        for _ in range(n):
             chosen.append(int(np.argmax(gain * distance)))
             distance = np.minimum(distance, np.linalg.norm(candidates - candidates[chosen[-1]], axis=1))
-        return np.concatenate([candidates[chosen], first])
+        picked: Floats = candidates[chosen]
+        return picked
+
+
+class Straddle(Filled):
+    """BoTorch's SingleTaskGP as it comes, asked where 1.96 s - |m - threshold| is largest, among all of the grid.
+
+    The points of a round are chosen one after the other, each as if the ones before had scored what is predicted.
+    """
+
+    name = "botorch"
+
+    def choose(self, n: int, first: Floats, points: Floats, scores: Floats) -> Floats:
+        """Choose n points by a Gaussian process."""
+        import torch  # type: ignore[import-not-found]
+        from botorch.fit import fit_gpytorch_mll  # type: ignore[import-not-found]
+        from botorch.models import SingleTaskGP  # type: ignore[import-not-found]
+        from gpytorch.mlls import ExactMarginalLogLikelihood  # type: ignore[import-not-found]
+
+        lattice = self._space.full_factorial()
+        new = cKDTree(np.concatenate([self._points, first])).query(lattice)[0] > 1e-9
+        candidates = lattice[new & self._space.is_admissible(lattice)]
+        torch.set_num_threads(1)
+        model = SingleTaskGP(torch.from_numpy(points), torch.from_numpy(scores[:, None]))
+        fit_gpytorch_mll(ExactMarginalLogLikelihood(model.likelihood, model))
+        chosen: list[int] = []
+        with torch.no_grad():
+            # A model takes no further points before it has predicted some.
+            predicted = model.posterior(torch.from_numpy(np.concatenate([first, candidates[:1]])))
+            if len(first):
+                model = model.condition_on_observations(torch.from_numpy(first), predicted.mean[:-1])
+            while len(chosen) < min(n, len(candidates)):
+                # In parts, as it computes the covariance of all that is asked at once.
+                parts = [model.posterior(one) for one in torch.from_numpy(candidates).split(256)]
+                mean = torch.cat([one.mean for one in parts])
+                deviation = torch.cat([one.variance for one in parts]).sqrt()
+                gain = (1.96 * deviation - (mean - self._threshold).abs()).squeeze(-1)
+                gain[chosen] = -np.inf
+                best = int(gain.argmax())
+                chosen.append(best)
+                model = model.condition_on_observations(torch.from_numpy(candidates[[best]]), mean[[best]])
+        picked: Floats = candidates[chosen]
+        return picked
 
 
 class VerifaiSearch(Optimizer):
@@ -117,8 +178,8 @@ class VerifaiSearch(Optimizer):
     def tell(self, points: Floats, scores: Floats) -> None:
         """Observe the scores of one round."""
         for (sample, info), score in zip(self._asked, scores, strict=True):
-            # Beyond the threshold is below 0, as VerifAI wants it; a failed scenario is not critical.
-            self._sampler.update(sample, info, float(np.nan_to_num(score - self._threshold, nan=1e3)))
+            # Beyond the threshold is below 0, as VerifAI wants it.
+            self._sampler.update(sample, info, float(np.nan_to_num(score - self._threshold, nan=FAILED)))
 
     def ask(self, n: int) -> Floats:
         """Propose n points."""
@@ -133,12 +194,17 @@ class VerifaiSearch(Optimizer):
         return np.concatenate(points)
 
 
+PEERS: dict[str, Callable[[], Optimizer]] = {
+    "forest-al": ActiveForest,
+    "botorch": Straddle,
+    **{name: partial(VerifaiSearch, name) for name in VERIFAI},
+}
+
+
 def searched(judge: Judge, kind: str, seed: int, budget: int) -> Any:
     critical = judge.case.critical
-    if kind in VERIFAI:
-        return VerifaiSearch(kind).start(judge.space, seed, threshold=critical)
-    if kind == "forest-al":
-        return ActiveForest().start(judge.space, seed, threshold=critical)
+    if kind in PEERS:
+        return PEERS[kind]().start(judge.space, seed, threshold=critical)
     return SEARCHES[kind](judge.space, seed, critical, budget)
 
 
@@ -207,7 +273,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--half", choices=("choose", "judge"), default="judge")
     parser.add_argument("--only", action="append", choices=CASES, help="only this scenario; may be repeated")
-    parser.add_argument("--search", action="append", choices=(*SEARCHES, "forest-al", *VERIFAI), help="may be repeated")
+    parser.add_argument("--search", action="append", choices=(*SEARCHES, *PEERS), help="may be repeated")
     parser.add_argument("--sizes", type=int, nargs="+", default=[100, 200])
     parser.add_argument("--steps", type=int, default=16)
     parser.add_argument("--seeds", type=int, default=3)
