@@ -12,11 +12,12 @@ its runs takes for critical:
 - ``parameters``: of the process and a random forest of the parameters, the one with the least log loss in five folds.
 
 Peers: ``forest-al``, a few lines: extremely randomised trees on the parameters, asked where p (1 - p) times the
-distance to what was run is largest; ``optuna (TPE)`` by Optuna; ``evolutionary`` by pymoo; ``botorch``, a Gaussian
-process of BoTorch with its own settings, asked where it is least sure on which side of the threshold a scenario is
-(straddle); ``verifai-ce`` (cross entropy) and ``verifai-mab`` (multi-armed bandit) by VerifAI with its own settings.
-BoTorch and VerifAI have to be installed (``pip install botorch verifai``, in an environment of its own). Rounds are of
-ten. Results are written to --json as they come, and what is there already is not run again.
+distance to what was run is largest; ``optuna (TPE)`` by Optuna; ``evolutionary`` by pymoo; ``nsga2-d``, which is
+NSGA-II-D of OpenSBT written with pymoo; ``botorch``, a Gaussian process of BoTorch with its own settings, asked where
+it is least sure on which side of the threshold a scenario is (straddle); ``verifai-ce`` (cross entropy) and
+``verifai-mab`` (multi-armed bandit) by VerifAI with its own settings. BoTorch and VerifAI have to be installed (``pip
+install botorch verifai``, in an environment of its own). Rounds are of ten. Results are written to --json as they come,
+and what is there already is not run again.
 """
 
 from __future__ import annotations
@@ -33,6 +34,15 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from pymoo.algorithms.moo.nsga2 import NSGA2
+from pymoo.core.evaluator import Evaluator
+from pymoo.core.population import Population
+from pymoo.core.problem import Problem
+from pymoo.core.termination import NoTermination
+from pymoo.operators.crossover.sbx import SBX
+from pymoo.operators.mutation.pm import PM
+from pymoo.operators.sampling.lhs import LHS
+from pymoo.problems.static import StaticProblem
 from scipy.spatial import cKDTree
 from sklearn.ensemble import ExtraTreesClassifier
 from threadpoolctl import threadpool_limits
@@ -50,6 +60,8 @@ KINDS = ("sobol", "bayes", "level-set", "committee", "auto", "forest-al")
 VERIFAI = {"verifai-ce": "crossEntropySamplerFor", "verifai-mab": "multiArmedBanditSamplerFor"}
 JUDGES = ("own", "features", "parameters")
 ROUND, INITIAL, TREES, CANDIDATES, FILLING, WIDTH = 10, 24, 100, 4096, 0.2, 0.1
+# Of NSGA-II-D; its archive takes what is further than NOVEL from all in it.
+POPULATION, REPLACED, NOVEL = 20, 6, 0.1
 # A failed scenario is not critical.
 FAILED = 1e3
 
@@ -154,6 +166,78 @@ class Straddle(Filled):
         return picked
 
 
+class DiverseNsga2(Optimizer):
+    """NSGA-II-D of OpenSBT, on the NSGA-II of pymoo; the package of OpenSBT, 0.1.4, does not hold it.
+
+    Its second objective is the distance to the nearest point of an archive, the larger the better, when a scenario has
+    run; 0 if the archive is empty. Then the archive takes, one after the other, the scenarios that are further than a
+    limit from all in it, whether they are critical or not. In each generation up to 30 % of the population, the worst
+    by rank, give way to random scenarios. Settings are the defaults of OpenSBT, but for the limit: it is 5 in the units
+    of its examples, and 0.1 of the ranges here. A scenario that it proposes again is not run again.
+
+    Source: L. Sorokin, D. Safin, S. Nejati, "Can search-based testing with Pareto optimization effectively cover
+    failure-revealing test inputs?", Empirical Software Engineering 30, 26 (2025).
+    """
+
+    name = "nsga2-d"
+
+    def prepare(self, space: Any, seed: int, *further: Any, **required: Any) -> None:
+        """Prepare the search of a space."""
+        self._space, self._rng = space, np.random.default_rng(seed)
+        crossover, mutation = SBX(prob=0.7, eta=20), PM(prob=1.0 / space.dimension, eta=15)
+        self._algorithm = NSGA2(POPULATION, sampling=LHS(), crossover=crossover, mutation=mutation, seed=seed)
+        problem = Problem(n_var=space.dimension, n_obj=2, xl=0.0, xu=1.0)
+        self._algorithm.setup(problem, termination=NoTermination())
+        self._archive = np.zeros((0, space.dimension))
+        self._scores: dict[tuple[float, ...], float] = {}
+        self._waiting: list[tuple[float, ...]] = []
+
+    def tell(self, points: Floats, scores: Floats) -> None:
+        """Observe the scores of one round."""
+        self._scores |= zip(map(tuple, points.tolist()), np.nan_to_num(scores, nan=FAILED).tolist(), strict=True)
+        if not self._waiting:
+            self._survive()
+
+    def ask(self, n: int) -> Floats:
+        """Propose n points, or what is left of a generation."""
+        while not self._waiting:
+            self._breed()
+            if not self._waiting:
+                self._survive()
+        asked, self._waiting = self._waiting[:n], self._waiting[n:]
+        return np.array(asked)
+
+    def _breed(self) -> None:
+        """Make children, and random scenarios but in the first generation."""
+        is_first = not self._algorithm.is_initialized
+        self._children = self._algorithm.ask()
+        count = 0 if is_first else self._rng.integers(1, REPLACED + 1)
+        self._random = Population.new(X=self._rng.random((count, self._space.dimension)))
+        points = self._space.snap(Population.merge(self._children, self._random).get("X"))
+        self._run = list(map(tuple, points.tolist()))
+        for one, is_admissible in zip(self._run, self._space.is_admissible(points), strict=True):
+            if not is_admissible:
+                self._scores[one] = FAILED
+        self._waiting = [one for one in dict.fromkeys(self._run) if one not in self._scores]
+
+    def _survive(self) -> None:
+        """End a generation, all scenarios of which have a score."""
+        born = Population.merge(self._children, self._random)
+        distance = [self._distance(point) for point in born.get("X")]
+        objectives = np.column_stack([[self._scores[one] for one in self._run], np.negative(distance)])
+        Evaluator().eval(StaticProblem(self._algorithm.problem, F=objectives), born)
+        if len(self._random):
+            # It is in the order of the ranks.
+            self._algorithm.pop = Population.merge(self._algorithm.pop[: -len(self._random)], self._random)
+        for point in Population.merge(self._algorithm.pop, self._children).get("X"):
+            if not len(self._archive) or self._distance(point) > NOVEL:
+                self._archive = np.concatenate([self._archive, [point]])
+        self._algorithm.tell(infills=self._children)
+
+    def _distance(self, point: Floats) -> float:
+        return float(np.linalg.norm(self._archive - point, axis=1).min()) if len(self._archive) else 0.0
+
+
 class VerifaiSearch(Optimizer):
     """A sampler of VerifAI in the unit cube; a scenario that it proposes again is run again."""
 
@@ -196,6 +280,7 @@ class VerifaiSearch(Optimizer):
 
 PEERS: dict[str, Callable[[], Optimizer]] = {
     "forest-al": ActiveForest,
+    "nsga2-d": DiverseNsga2,
     "botorch": Straddle,
     **{name: partial(VerifaiSearch, name) for name in VERIFAI},
 }
