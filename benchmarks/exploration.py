@@ -272,11 +272,7 @@ class Judge:
         # Where no interval is given, none can be wrong.
         row["share"] = np.nan if known.interval_unavailable else float(within)
         row["missed"] = np.nan if known.missed_interval_unavailable else float(missed)
-        return row | {
-            "most missed": 1.0
-            if known.missed_interval_unavailable
-            else min(known.missed_fraction.high + known.max_fraction_in_empty_region, 1.0)
-        }
+        return row | {"most missed": known.missed_upper_bound}
 
     def found(self, places: npt.NDArray[np.int64], seed: int) -> dict[str, float]:
         """Recall and precision of what was run at places, and elsewhere of what the best classifier of it tells."""

@@ -164,7 +164,7 @@ def judge_at(judge: Judge, kind: str, seed: int, places: npt.NDArray[np.int64], 
     if not known.missed_interval_unavailable:
         missed = known.missed_fraction
         row["missed"] = (missed.low, missed.value, missed.high)
-        row["most missed"] = min(missed.high + known.max_fraction_in_empty_region, 1.0)
+        row["most missed"] = known.missed_upper_bound
     return row
 
 

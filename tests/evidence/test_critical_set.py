@@ -345,10 +345,9 @@ def test_where_nothing_was_missed_yet_the_interval_reaches_to_0():
     assert missed <= known.missed_fraction.high < 0.01
 
 
-def test_a_region_that_nothing_points_to_keeps_the_search_going():
+def test_hidden_is_the_ball_that_escapes_one_time_in_twenty():
     points = qmc.Sobol(3, seed=3).random(128)
     known = CriticalSet(CUBE, points, two_regions(points), Criterion(THRESHOLD))
-    # A ball of the size that escapes one time in twenty, beside the share that is known.
     centres = np.random.default_rng(0).random((400, 3))
     ball = (
         known.max_fraction_in_empty_region * known.critical_fraction.value / (1.0 - known.max_fraction_in_empty_region)
@@ -357,9 +356,32 @@ def test_a_region_that_nothing_points_to_keeps_the_search_going():
     apart = np.sort(np.linalg.norm(centres[:, None] - EVERYWHERE[:4096], axis=2), axis=1)[:, round(ball * 4096)]
     escapes = ~(np.linalg.norm(centres[:, None] - points, axis=2) < apart[:, None]).any(axis=1)
     assert escapes.mean() < 0.1
-    assert StopCriterion.parse("missed<0.1").evaluate(known) == pytest.approx(
-        known.missed_fraction.high + known.max_fraction_in_empty_region
-    )
+
+
+@pytest.mark.parametrize("count", [64, 256])
+def test_what_is_missed_at_most_counts_a_region_that_no_score_points_to(count):
+    points = qmc.Sobol(3, seed=3).random(count)
+    # So smooth that of what scores point to nothing is missed: what is left is one more ball, with even odds.
+    known = CriticalSet(CUBE, points, points @ (0.8, 0.5, 0.1), Criterion(0.4))
+    assert known.missed_fraction.high < 0.01
+    rng = np.random.default_rng(0)
+    centres, sizes = rng.random((3000, 3)), 0.3 * 0.5 ** rng.integers(9, size=3000)
+    apart = np.sort(np.linalg.norm(centres[:, None] - EVERYWHERE[:2048], axis=2), axis=1)
+    radii = apart[np.arange(3000), (sizes * 2048).astype(int)]
+    escapes = np.linalg.norm(centres[:, None] - points, axis=2).min(axis=1) >= radii
+    # As many draws without a ball, which are never rejected.
+    fractions = np.concatenate([np.zeros(3000), sizes[escapes] / (known.critical_fraction.value + sizes[escapes])])
+    assert known.missed_upper_bound == pytest.approx(np.quantile(fractions, 0.95), abs=0.012)
+    assert StopCriterion.parse("missed<0.1").evaluate(known) == known.missed_upper_bound
+
+
+def test_a_bound_of_what_is_missed_falls_to_0_once_all_was_run():
+    few = ParameterSpace.from_ranges(["x=0:1:0.1", "y=0:1:0.1"])
+    points = few.full_factorial()
+    scores = np.where(np.linalg.norm(points - 0.5, axis=1) < 0.3, 0.0, 1.0)
+    part = np.random.default_rng(0).permutation(len(points))[:60]
+    assert CriticalSet(few, points[part], scores[part], Criterion(0.5)).missed_upper_bound > 0.02
+    assert CriticalSet(few, points, scores, Criterion(0.5)).missed_upper_bound == 0.0
 
 
 def jumping(points):

@@ -8,13 +8,14 @@ from scipy.spatial.distance import pdist
 
 from conftest import at_night
 from cornercase._common.errors import InputError
+from cornercase.evidence._committee import CommitteeModel
 from cornercase.evidence._critical_set_estimate import CriticalSet
 from cornercase.evidence._multi_fidelity import SourceStudyModel
 from cornercase.evidence.gp._process import fit_boundary_process
 from cornercase.exploration._study_critical_set import is_score_independent
 from cornercase.optimizers import OPTIMIZERS, LevelSet, Sobol
 from cornercase.study._criterion import Criterion
-from helpers.search_cases import CUBE, EVERYWHERE, THRESHOLD, explored, two_regions
+from helpers.search_cases import CUBE, EVERYWHERE, FEATURES, THRESHOLD, explored, two_regions, wall
 
 KNOWN = Sobol().start(CUBE, 100).ask(200)
 
@@ -41,6 +42,32 @@ def test_it_finds_sooner_what_another_study_foretells():
     cold = [recall_after(25, seed, moved) for seed in range(3)]
     assert np.median(begun) > 0.9
     assert np.mean(begun) > np.mean(cold) + 0.1
+
+
+def predicted_by_committee(points, prediction=None):
+    """Probability of being critical everywhere, by a committee that learned from some points of a score that jumps."""
+    scores, features = wall(points)
+
+    def with_prediction(at):
+        return at if prediction is None else np.column_stack([at, prediction(at)])
+
+    committee = CommitteeModel(Criterion(THRESHOLD), FEATURES, has_prediction=prediction is not None)
+    committee.fit(with_prediction(points), scores, features)
+    return committee.predict(with_prediction(EVERYWHERE))[0]
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_committee_uses_another_study_only_if_it_predicts_outcomes(seed):
+    points = Sobol().start(CUBE, seed).ask(60)
+    alone = predicted_by_committee(points)
+
+    def of_no_use(at):
+        return np.sin(997.0 * at @ (1.0, 7.0, 31.0))
+
+    assert np.array_equal(predicted_by_committee(points, of_no_use), alone)
+    true = wall(EVERYWHERE)[0] <= THRESHOLD
+    helped = predicted_by_committee(points, lambda at: wall(at)[0] + 0.02 * np.sin(20.0 * at[:, 0]))
+    assert np.abs(helped - true).mean() < 0.7 * np.abs(alone - true).mean()
 
 
 def test_what_misleads_is_dropped():

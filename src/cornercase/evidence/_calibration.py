@@ -16,8 +16,8 @@ _REACH: Final = 4.0
 _FULL_WEIGHT_COUNT: Final = 160
 # Greatest number of bins of the predictions of each class in the likelihood.
 _MAX_BINS: Final = 128
-# Rates of surprises that are possible: none, or one of these.
-_SURPRISE_RATES: Final = np.append(0.0, 0.3 * 0.5 ** np.arange(9))
+SURPRISE_RATES: Final = 0.3 * 0.5 ** np.arange(9)
+"""Rates of surprises that are possible besides 0, (9,)."""
 
 
 class ProbitCalibration:
@@ -36,6 +36,9 @@ class ProbitCalibration:
     each gets less weight: the total weight grows with the square root of their number, and the posterior narrows with
     the fourth root.
 
+    `chosen` are predictions and outcomes of scenarios that were chosen by scores. They count for a and b alone, since a
+    search looks for critical scenarios where something points to them, so they do not show how rare surprises are.
+
     Source: J. Platt, "Probabilistic outputs for support vector machines" (1999), here with the normal distribution
     function and the full posterior on a grid. The rate is the lapse rate of psychometric functions: F. A. Wichmann,
     N. J. Hill, "The psychometric function: I. Fitting, sampling, and goodness of fit", Perception & Psychophysics 63
@@ -43,17 +46,28 @@ class ProbitCalibration:
     """
 
     def __init__(
-        self, t: FloatArray, critical: BoolArray, prediction_weight: float = 1.0, p_surprises: float = 0.5
+        self,
+        t: FloatArray,
+        critical: BoolArray,
+        prediction_weight: float = 1.0,
+        p_surprises: float = 0.5,
+        chosen: tuple[FloatArray, BoolArray] | None = None,
     ) -> None:
         a, log_b = (axis.ravel() for axis in np.meshgrid(*[np.linspace(-_REACH, _REACH, _STEPS)] * 2, indexing="ij"))
-        slope, weight = np.exp(log_b), prediction_weight * min(1.0, (_FULL_WEIGHT_COUNT / max(len(t), 1)) ** 0.5)
-        rates, n_rates = _SURPRISE_RATES[1:, None], len(_SURPRISE_RATES) - 1
+        slope, weight = np.exp(log_b), prediction_weight * _relative_weight(len(t))
+        all_rates, rates, n_rates = np.append(0.0, SURPRISE_RATES), SURPRISE_RATES[:, None], len(SURPRISE_RATES)
         prior = np.append(1.0 - p_surprises, np.full(n_rates, p_surprises / n_rates))
         # Whatever the rate, the likelihood of outcomes that are not critical has the same factor.
         common = -0.5 * (a**2 + log_b**2)
         for count, mean in _group_predictions(t[~critical]):
             common += weight * count * log_ndtr(a + slope * mean)
-        log_likelihood = np.log1p(-_SURPRISE_RATES[:, None]) * (weight * np.count_nonzero(~critical)) + common
+        if chosen is not None:
+            chosen_t, chosen_critical = chosen
+            chosen_weight = prediction_weight * _relative_weight(len(chosen_t))
+            for sign, outcome in ((1.0, False), (-1.0, True)):
+                for count, mean in _group_predictions(chosen_t[chosen_critical == outcome]):
+                    common += chosen_weight * count * log_ndtr(sign * (a + slope * mean))
+        log_likelihood = np.log1p(-all_rates[:, None]) * (weight * np.count_nonzero(~critical)) + common
         for count, mean in _group_predictions(t[critical]):
             deviate = -(a + slope * mean)
             log_likelihood[0] += weight * count * log_ndtr(deviate)
@@ -61,7 +75,7 @@ class ProbitCalibration:
         log_posterior = np.log(prior[:, None]) + log_likelihood
         density = np.exp(log_posterior - log_posterior.max())
         self._a, self._b, self._rate = (
-            np.broadcast_to(values, density.shape).ravel() for values in (a, slope, _SURPRISE_RATES[:, None])
+            np.broadcast_to(values, density.shape).ravel() for values in (a, slope, all_rates[:, None])
         )
         self._posterior = (density / density.sum()).ravel()
 
@@ -76,6 +90,11 @@ class ProbitCalibration:
         """Probability of being critical for statistics t, (n,), at the posterior means of a, b and r."""
         a, b, rate = (float(self._posterior @ values) for values in (self._a, self._b, self._rate))
         return np.asarray(rate + (1.0 - rate) * ndtr(-(a + b * t)))
+
+
+def _relative_weight(count: int) -> float:
+    """Weight of one of `count` predictions; many lie close together."""
+    return float(min(1.0, (_FULL_WEIGHT_COUNT / max(count, 1)) ** 0.5))
 
 
 def _group_predictions(predictions: FloatArray) -> list[tuple[int, float]]:

@@ -62,7 +62,8 @@ class CommitteeModel:
     until the next `fit`.
 
     `columns` describes the features. `has_prediction` says whether the last coordinate of points is the prediction of
-    another study (`SourceStudyModel`). `process` is the third classifier.
+    another study (`SourceStudyModel`). Trees and the processes of features use it only if a forest clearly predicts the
+    known outcomes better with it; the process decides for itself. `process` is the third classifier.
 
     Source: H. S. Seung, M. Opper, H. Sompolinsky, "Query by committee", COLT (1992); P. Geurts, D. Ernst, L. Wehenkel,
     "Extremely randomized trees", Machine Learning 63 (2006); D. H. Wolpert, "Stacked generalization", Neural Networks 5
@@ -82,6 +83,7 @@ class CommitteeModel:
         self._criterion, self._seed, self._has_prediction = criterion, seed, has_prediction
         self._inputs = [j for j, feature in enumerate(columns) if feature.name not in _UNUSED_FEATURES]
         self._branches = [j for j, feature in enumerate(columns) if feature.branch]
+        self._drops_prediction = False
         self.process: GaussianProcess
         self._feature_models: PerBranchFeatureModels
         # Of trees on features, forest and process.
@@ -96,6 +98,7 @@ class CommitteeModel:
         """
         self.process = fit_boundary_process(points, scores, self._criterion, has_prediction=self._has_prediction)
         self._weights = np.ones(3)
+        self._drops_prediction = self._has_prediction and not self._prediction_helps(points, scores)
         self._learn_features(points, scores, features)
         self._kernels = self._feature_models.kernels
         by_member = self._out_of_fold_by_member()
@@ -135,7 +138,7 @@ class CommitteeModel:
         Kernels that are not given are learned.
         """
         self._all_points, self._tree_scenarios = points, self._select_tree_scenarios(scores)
-        points, scores = points[self._tree_scenarios], scores[self._tree_scenarios]
+        points, scores = self._tree_coordinates(points)[self._tree_scenarios], scores[self._tree_scenarios]
         features = None if features is None else features[self._tree_scenarios]
         inputs, subset = self._feature_inputs(scores, features), self._select_process_scenarios(scores)
         self._critical, self._classes = self._criterion.is_critical(scores), self._class_labels(scores, features)
@@ -159,6 +162,7 @@ class CommitteeModel:
 
         `t` is how far the process predicts each point above the threshold, in standard deviations.
         """
+        points = self._tree_coordinates(points)
         classes, by_member = np.empty((len(points), 0)), [np.zeros(len(points)), np.zeros(len(points)), ndtr(-t)]
         if self._trees is not None:
             classes = self._trees.predict_proba(np.hstack([points, self._feature_models.predict_features(points)]))
@@ -190,7 +194,7 @@ class CommitteeModel:
         """Out-of-fold probabilities by each classifier, (n, 3), for the scenarios that trees use."""
         mean, deviation = self.process.leave_one_out(self._tree_scenarios)
         probability: FloatArray = np.stack([np.zeros(len(mean)), np.zeros(len(mean)), ndtr(-mean / deviation)], axis=1)
-        for train, test in self._train_test_folds():
+        for train, test in self._train_test_folds(self._critical):
             trees, forest = self._train_trees(train, self.n_trees_per_fold)
             if trees is not None:
                 probability[test, 0] = _critical_probability_of_classes(trees, trees.predict_proba(self._columns[test]))
@@ -198,18 +202,42 @@ class CommitteeModel:
                 probability[test, 1] = _critical_probability_by_forest(forest, self._points[test])
         return probability
 
-    def _train_test_folds(self) -> Iterator[tuple[IntArray, IntArray]]:
-        smallest_class = int(np.bincount(self._critical, minlength=2).min())
+    def _prediction_helps(self, points: FloatArray, scores: FloatArray) -> bool:
+        """Whether a forest predicts outcomes better with the prediction of another study, by over one standard error.
+
+        Both forests are judged by the log loss of scenarios outside of their fold. One standard error is the rule of L.
+        Breiman et al., "Classification and regression trees" (1984), section 3.4.3.
+        """
+        from sklearn.ensemble import RandomForestClassifier
+
+        selected = self._select_tree_scenarios(scores)
+        points, critical = points[selected], self._criterion.is_critical(scores[selected])
+        probability = np.zeros((len(points), 2))
+        for train, test in self._train_test_folds(critical):
+            for k, coordinates in enumerate((points[:, :-1], points)):
+                # Every split considers all coordinates, so that both forests differ by the prediction alone.
+                forest = RandomForestClassifier(self.n_trees, max_features=None, random_state=self._seed)
+                forest.fit(coordinates[train], critical[train])
+                probability[test, k] = _critical_probability_by_forest(forest, coordinates[test])
+        gain = np.diff(np.log(_likelihoods(probability, critical)), axis=1)
+        return bool(gain.mean() > gain.std() / np.sqrt(len(gain)))
+
+    def _tree_coordinates(self, points: FloatArray) -> FloatArray:
+        """Coordinates for trees and feature processes: without the prediction of another study if that is dropped."""
+        return points[:, :-1] if self._drops_prediction else points
+
+    def _train_test_folds(self, critical: BoolArray) -> Iterator[tuple[IntArray, IntArray]]:
+        smallest_class = int(np.bincount(critical, minlength=2).min())
         if smallest_class < 2:
             # A class of one scenario cannot be stratified.
-            indices = np.arange(len(self._points))
+            indices = np.arange(len(critical))
             order = np.random.default_rng(self._seed).permutation(indices)
             parts = np.array_split(order, min(_FOLDS, len(indices)))
             return ((np.setdiff1d(indices, part), part) for part in parts)
         from sklearn.model_selection import StratifiedKFold
 
         folds = StratifiedKFold(min(_FOLDS, smallest_class), shuffle=True, random_state=self._seed)
-        return iter(folds.split(self._points, self._critical))
+        return iter(folds.split(critical, critical))
 
     def _train_trees(
         self, indices: IntArray, n_trees: int

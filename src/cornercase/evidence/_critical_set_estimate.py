@@ -16,7 +16,7 @@ from scipy.special import ndtri
 from cornercase._common.numba.blas import single_threaded_blas
 from cornercase._common.row_keys import row_keys
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
-from cornercase.evidence._calibration import ProbitCalibration
+from cornercase.evidence._calibration import SURPRISE_RATES, ProbitCalibration
 from cornercase.evidence._committee import PREDICTED_CRITICAL, CommitteeModel
 from cornercase.evidence._interval_estimate import Estimate
 from cornercase.evidence._multi_fidelity import SourceStudyModel, augment_points
@@ -49,6 +49,8 @@ _PREDICTION_WEIGHT: Final = 0.5
 # predictions from other scenarios, below which it decreases in proportion. Chosen on the half to choose with of
 # benchmarks/intervals.py.
 _P_SURPRISES, _UNEXPLAINED = 0.5, 0.1
+# Prior probability that there is a critical region to which no score points.
+_P_HIDDEN: Final = 0.5
 # Probability that a hidden region at a random place contains no scenario that was run.
 _ESCAPE_PROBABILITY: Final = 0.05
 # Probabilities are clipped to this and to one minus this.
@@ -134,7 +136,11 @@ class CriticalSet:
             edge = 0.0 if self._committee is None else float(_normal_deviate(np.array(PREDICTED_CRITICAL)))
             self._missed_none = not (critical & (t > edge)).any()
             self._calibration = ProbitCalibration(
-                t, critical, _PREDICTION_WEIGHT, self._probability_of_surprises(scores, criterion)
+                t,
+                critical,
+                _PREDICTION_WEIGHT,
+                self._probability_of_surprises(scores, criterion),
+                self._record_of_chosen(),
             )
 
     @property
@@ -173,6 +179,17 @@ class CriticalSet:
             t = np.concatenate([t, self._margin_and_z(encode_points(self._space, self._audit_points))[1]])
             critical = np.concatenate([critical, self._audit_is_critical])
         return t, critical
+
+    def _record_of_chosen(self) -> tuple[FloatArray, BoolArray] | None:
+        """Out-of-fold predictions by the committee of the scenarios chosen by scores, and whether these were critical.
+
+        None without a committee: with predictions of such scenarios by a process, intervals held less often on the half
+        to choose with of benchmarks/intervals.py.
+        """
+        if self._committee is None:
+            return None
+        chosen = ~self._is_initial_design
+        return _normal_deviate(self._committee.out_of_fold_probability())[chosen], self._critical[chosen]
 
     def _probability_of_surprises(self, scores: FloatArray, criterion: Criterion) -> float:
         """Prior probability of surprises; it is small if the process predicts left-out scores well.
@@ -296,19 +313,45 @@ class CriticalSet:
         """
         if not self._critical.any():
             return Estimate(*[float(not self.is_exhausted)] * 3)
-        with single_threaded_blas():
-            not_found = np.clip(
-                self._samples.critical_fraction_within(~self._is_found),
-                0.0,
-                self._samples.critical_fraction,
-            )
-        # Empty draws are ignored, since something is critical.
-        nonempty = self._samples.critical_fraction > 0.0
-        estimate = Estimate(1.0, 0.0, 1.0)
-        if nonempty.any():
-            estimate = Estimate.from_draws(not_found[nonempty] / self._samples.critical_fraction[nonempty])
+        not_found, critical = self._drawn_fractions
+        estimate = Estimate.from_draws(not_found / critical) if len(critical) else Estimate(1.0, 0.0, 1.0)
         # As long as no prediction missed a critical scenario, it is possible that none is missed.
         return replace(estimate, low=0.0) if self._missed_none else estimate
+
+    @cached_property
+    def _drawn_fractions(self) -> tuple[FloatArray, FloatArray]:
+        """Draws of the fraction of the space that is critical and not found, and of all that is critical.
+
+        Empty draws are left out, since something is critical.
+        """
+        critical = self._samples.critical_fraction
+        with single_threaded_blas():
+            not_found = np.clip(self._samples.critical_fraction_within(~self._is_found), 0.0, critical)
+        return not_found[critical > 0.0], critical[critical > 0.0]
+
+    @property
+    def missed_upper_bound(self) -> float:
+        """Fraction of the critical set that is missed at most, with a probability of 95 %; 1 if there is no interval.
+
+        In contrast to `missed_fraction`, each draw may have one more critical region: a ball at a random place, in
+        which no scenario was run and to which no score points. Beforehand the odds that there is one are even, and all
+        sizes of `SURPRISE_RATES` are equally probable. Scenarios that were run make a size as much less probable as
+        they would have met it (`unexplored_fraction`).
+        """
+        if self.missed_interval_unavailable or not self._critical.any():
+            return float(not self.is_exhausted)
+        not_found, critical = self._drawn_fractions
+        if not len(critical):
+            return 1.0
+        sizes = np.append(0.0, SURPRISE_RATES)
+        escapes = [_P_HIDDEN / len(SURPRISE_RATES) * self.unexplored_fraction(size) for size in sizes[1:]]
+        probability = np.array([1.0 - _P_HIDDEN, *escapes])
+        # One draw in each of as many strata of equal probability, in a random order.
+        rng = np.random.default_rng([self._seed, 8])
+        quantiles = (rng.permutation(len(critical)) + rng.random(len(critical))) / len(critical)
+        cumulative = np.cumsum(probability / probability.sum())
+        hidden = sizes[np.minimum(np.searchsorted(cumulative, quantiles), len(SURPRISE_RATES))]
+        return float(np.quantile((not_found + hidden) / (critical + hidden), 0.95))
 
     @cached_property
     def max_fraction_in_empty_region(self) -> float:

@@ -79,11 +79,7 @@ class StopCriterion(StopRule):
     def evaluate(self, critical_set: CriticalSet) -> float:
         """Value of the quantity, from 0 to 1; 1 if the value is unknown."""
         if self.quantity == "missed":
-            return (
-                1.0
-                if critical_set.missed_interval_unavailable
-                else min(critical_set.missed_fraction.high + critical_set.max_fraction_in_empty_region, 1.0)
-            )
+            return critical_set.missed_upper_bound
         if self.quantity == "audited-missed":
             return critical_set.audited_missed_upper_bound
         if self.quantity == "interval":
@@ -146,8 +142,8 @@ def missed(bound: float) -> StopRule:
     Parameters
     ----------
     bound : float
-        Above 0, up to 1. It is compared with the upper end of the 90 % interval of the missed fraction of the critical
-        set, plus what a region that was not found could add.
+        Above 0, up to 1. It is compared with the fraction of the critical set that is missed at most, with a
+        probability of 95 %, regions that no score points to included.
 
     Returns
     -------
