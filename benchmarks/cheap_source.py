@@ -7,10 +7,10 @@ The scenarios, their truths and the halves are those of intervals.py. `auto` sea
 and with one from N scenarios of a Sobol' sequence that a cheap simulator has run:
 
 - ``0.2 s``: the builtin simulator with a time step of 0.2 s, four to ten times that of the truth;
-- ``driver``: another driver in the ego, which should not help, and must not harm.
+- ``driver``: another driver in the ego, from whose scores little follows.
 
-F1 is that of what `cornercase show` takes for critical. ``used`` is the share of judgements in which the process used
-the prediction of the cheap study.
+F1 is that of what `cornercase show` takes for critical; it is 0 as long as only one class was run. A source whose
+scores are all equal is left out.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ def search(
             optimizer.tell(new, judge.scores[at], judge.features[at])
             points = np.concatenate([points, new])
         places = judge.places(points)
-        row = {"size": size, "f1": 0.0, "used": 0.0}
+        row = {"size": size, "f1": 0.0}
         if 0 < judge.true[places].sum() < len(places):
             known = CriticalSet(
                 judge.space, points, judge.scores[places], criterion, seed,
@@ -87,10 +87,6 @@ def search(
             )  # fmt: skip
             both = judge.agreement(known.predict(judge.lattice))
             row["f1"] = 2.0 * both["recall"] * both["precision"] / max(both["recall"] + both["precision"], 1e-9)
-            if model is not None:
-                finished = np.isfinite(judge.scores[places])
-                encoded = encode_points(judge.space, points[finished])
-                row["used"] = float(model.improves_prediction(encoded, judge.scores[places][finished]))
         yield row
 
 
@@ -116,13 +112,12 @@ def print_table(rows: list[dict[str, Any]], sizes: list[int]) -> None:
     """Print F1 by scenario, and means."""
     cases = list(dict.fromkeys(row["case"] for row in rows))
     columns = [(source, size) for source in SOURCES for size in sizes]
-    print("\n| scenario | " + " | ".join(f"{source}, {size}" for source, size in columns) + " | used |")
+    print("\n| scenario | " + " | ".join(f"{source}, {size}" for source, size in columns) + " |")
     for name in (*cases, "mean"):
         mine = [row for row in rows if name in ("mean", row["case"])]
         cells = [[row["f1"] for row in mine if (row["source"], row["size"]) == column] for column in columns]
-        used = [np.mean([row["used"] for row in mine if row["source"] == source] or [0.0]) for source in SOURCES[1:]]
         texts = [f"{np.mean(cell):.3f}" if cell else "–" for cell in cells]
-        print(f"| {name} | " + " | ".join(texts) + " | " + ", ".join(f"{share:.2f}" for share in used) + " |")
+        print(f"| {name} | " + " | ".join(texts) + " |")
 
 
 def main() -> None:

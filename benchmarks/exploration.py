@@ -176,7 +176,10 @@ Folders = dict[str, Path | None]
 
 
 def logical(name: str, folders: Folders) -> LogicalScenario:
-    case = CASES[name]
+    return logical_of(CASES[name], folders)
+
+
+def logical_of(case: Case, folders: Folders) -> LogicalScenario:
     path = (folders[case.of] or Path()) / case.file
     return LogicalScenario.read(path, None if case.ranges else path.with_suffix(".space.xosc"), case.ranges)
 
@@ -191,9 +194,9 @@ def stepped(space: ParameterSpace, steps: int) -> ParameterSpace:
     return ParameterSpace(parameters, space.declarations)
 
 
-def outcomes(name: str, folders: Folders, values: list[dict[str, Any]]) -> npt.NDArray[np.float64]:
+def outcomes(case: Case, folders: Folders, values: list[dict[str, Any]]) -> npt.NDArray[np.float64]:
     """Score and features of each scenario."""
-    case, scenario = CASES[name], logical(name, folders)
+    scenario = logical_of(case, folders)
     metric = METRICS.create(case.metric)
     drivers = {} if case.driver is None else {"Ego": case.driver}
     simulator = Builtin(time_step=case.time_step, on_collision=case.on_collision, drivers=drivers)
@@ -214,7 +217,7 @@ def truth(name: str, folders: Folders, steps: int, folder: Path) -> npt.NDArray[
         begin = time.perf_counter()
         parts = [values[k : k + 500] for k in range(0, len(values), 500)]
         with ProcessPoolExecutor(len(os.sched_getaffinity(0))) as pool:
-            whole = np.concatenate(list(pool.map(outcomes, repeat(name), repeat(folders), parts)))
+            whole = np.concatenate(list(pool.map(outcomes, repeat(CASES[name]), repeat(folders), parts)))
         folder.mkdir(parents=True, exist_ok=True)
         np.save(path, whole)
         print(f"{name}: {len(whole)} scenarios in {time.perf_counter() - begin:.0f} s, kept in {path}", flush=True)

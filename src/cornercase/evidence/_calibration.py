@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from scipy.special import log_ndtr, ndtr
+from scipy.special import log_ndtr, logsumexp, ndtr
 
 from cornercase._common.typing import BoolArray, FloatArray
 
@@ -36,8 +36,9 @@ class ProbitCalibration:
     each gets less weight: the total weight grows with the square root of their number, and the posterior narrows with
     the fourth root.
 
-    `chosen` are predictions and outcomes of scenarios that were chosen by scores. They count for a and b alone, since a
-    search looks for critical scenarios where something points to them, so they do not show how rare surprises are.
+    `chosen` are predictions and outcomes of scenarios that were chosen by scores. They inform a and b. Since a search
+    looks for critical scenarios where something points to them, they do not show how rare surprises are: surprises
+    among them have a rate of their own, with the same prior, over which their likelihood is averaged.
 
     Source: J. Platt, "Probabilistic outputs for support vector machines" (1999), here with the normal distribution
     function and the full posterior on a grid. The rate is the lapse rate of psychometric functions: F. A. Wichmann,
@@ -54,29 +55,29 @@ class ProbitCalibration:
         chosen: tuple[FloatArray, BoolArray] | None = None,
     ) -> None:
         a, log_b = (axis.ravel() for axis in np.meshgrid(*[np.linspace(-_REACH, _REACH, _STEPS)] * 2, indexing="ij"))
-        slope, weight = np.exp(log_b), prediction_weight * _relative_weight(len(t))
-        all_rates, rates, n_rates = np.append(0.0, SURPRISE_RATES), SURPRISE_RATES[:, None], len(SURPRISE_RATES)
-        prior = np.append(1.0 - p_surprises, np.full(n_rates, p_surprises / n_rates))
-        # Whatever the rate, the likelihood of outcomes that are not critical has the same factor.
-        common = -0.5 * (a**2 + log_b**2)
-        for count, mean in _group_predictions(t[~critical]):
-            common += weight * count * log_ndtr(a + slope * mean)
+        slope, rates = np.exp(log_b), np.append(0.0, SURPRISE_RATES)[:, None]
+        n_rates = len(SURPRISE_RATES)
+        log_prior = np.log(np.append(1.0 - p_surprises, np.full(n_rates, p_surprises / n_rates)))[:, None]
+
+        def log_likelihood(t: FloatArray, critical: BoolArray) -> FloatArray:
+            """Log-likelihood of a record for each rate, and each pair of a and b, (rates, pairs)."""
+            weight = prediction_weight * min(1.0, (_FULL_WEIGHT_COUNT / max(len(t), 1)) ** 0.5)
+            # Whatever the rate, the likelihood of outcomes that are not critical has the same factor.
+            common = np.zeros(len(a))
+            for count, mean in _group_predictions(t[~critical]):
+                common += weight * count * log_ndtr(a + slope * mean)
+            log_likelihood = np.log1p(-rates) * (weight * np.count_nonzero(~critical)) + common
+            for count, mean in _group_predictions(t[critical]):
+                deviate = -(a + slope * mean)
+                log_likelihood[0] += weight * count * log_ndtr(deviate)
+                log_likelihood[1:] += weight * count * np.log(rates[1:] + (1.0 - rates[1:]) * ndtr(deviate))
+            return np.asarray(log_likelihood)
+
+        log_posterior = log_prior - 0.5 * (a**2 + log_b**2) + log_likelihood(t, critical)
         if chosen is not None:
-            chosen_t, chosen_critical = chosen
-            chosen_weight = prediction_weight * _relative_weight(len(chosen_t))
-            for sign, outcome in ((1.0, False), (-1.0, True)):
-                for count, mean in _group_predictions(chosen_t[chosen_critical == outcome]):
-                    common += chosen_weight * count * log_ndtr(sign * (a + slope * mean))
-        log_likelihood = np.log1p(-all_rates[:, None]) * (weight * np.count_nonzero(~critical)) + common
-        for count, mean in _group_predictions(t[critical]):
-            deviate = -(a + slope * mean)
-            log_likelihood[0] += weight * count * log_ndtr(deviate)
-            log_likelihood[1:] += weight * count * np.log(rates + (1.0 - rates) * ndtr(deviate))
-        log_posterior = np.log(prior[:, None]) + log_likelihood
+            log_posterior = log_posterior + logsumexp(log_prior + log_likelihood(*chosen), axis=0)
         density = np.exp(log_posterior - log_posterior.max())
-        self._a, self._b, self._rate = (
-            np.broadcast_to(values, density.shape).ravel() for values in (a, slope, all_rates[:, None])
-        )
+        self._a, self._b, self._rate = (np.broadcast_to(values, density.shape).ravel() for values in (a, slope, rates))
         self._posterior = (density / density.sum()).ravel()
 
     def draw_parameters(self, count: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -90,11 +91,6 @@ class ProbitCalibration:
         """Probability of being critical for statistics t, (n,), at the posterior means of a, b and r."""
         a, b, rate = (float(self._posterior @ values) for values in (self._a, self._b, self._rate))
         return np.asarray(rate + (1.0 - rate) * ndtr(-(a + b * t)))
-
-
-def _relative_weight(count: int) -> float:
-    """Weight of one of `count` predictions; many lie close together."""
-    return float(min(1.0, (_FULL_WEIGHT_COUNT / max(count, 1)) ** 0.5))
 
 
 def _group_predictions(predictions: FloatArray) -> list[tuple[int, float]]:

@@ -73,7 +73,8 @@ class CriticalSet:
     A critical scenario counts as found if it was run, or if the mean of the process there is beyond the threshold.
     Audits never affect what is found. With `features` a `CommitteeModel` predicts instead of the process, which is one
     of its classifiers. A scenario then counts as found if the predicted probability is at least `PREDICTED_CRITICAL`.
-    The process still provides the correlation.
+    Its predictions of the scenarios that the search chose calibrate the probability, too. The process still provides
+    the correlation.
 
     `points` (n, d) were run and have `scores` (n,); lower is more critical, NaN for a failed scenario. `initial_design`
     (n,) marks the scenarios chosen independently of scores, by default all. `audits` are random points and their

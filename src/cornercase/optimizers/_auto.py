@@ -56,7 +56,7 @@ class Auto(Committee):
        critical regions.
 
     If scenarios fail, trees learn where, and likely failures are avoided. With a warm start, the prediction of the
-    other study is an additional coordinate of all classifiers, as in `Committee`.
+    other study is an additional coordinate of the classifiers, as in `Committee`.
 
     Kernels and weights are learned again after every ten new scores, or after half as many more if that is more:
     from the first 20, 30, 45, 67, 100, 150 and so on; while all scenarios are critical, or none, after every ten. In

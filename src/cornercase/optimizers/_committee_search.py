@@ -38,9 +38,9 @@ class Committee(WarmStartOptimizer):
     all are critical, a value just below the highest score replaces it. If scenarios fail, the committee learns where,
     and likely failures are avoided.
 
-    With a warm start, the prediction of the other study is an additional coordinate for all classifiers
-    (`SourceStudyModel`). Half of the first 10 points are where the other study predicts the boundary. If it predicts
-    the scores of these points, the classifiers learn from fewer points than otherwise.
+    With a warm start, the prediction of the other study is an additional coordinate (`SourceStudyModel`) for the
+    classifiers that it helps. Half of the first 10 points are where the other study predicts the boundary. If it
+    predicts the scores of these points, the classifiers learn from fewer points than otherwise.
 
     The kernels of the committee are learned again after every ten new scores, or after a quarter more if that is more.
 

@@ -143,7 +143,7 @@ def missed(bound: float) -> StopRule:
     ----------
     bound : float
         Above 0, up to 1. It is compared with the fraction of the critical set that is missed at most, with a
-        probability of 95 %, regions that no score points to included.
+        probability of 95 %; that may include one region to which no score points.
 
     Returns
     -------
