@@ -9,8 +9,8 @@ and with one from N scenarios of a Sobol' sequence that a cheap simulator has ru
 - ``0.2 s``: the builtin simulator with a time step of 0.2 s, four to ten times that of the truth;
 - ``driver``: another driver in the ego, from whose scores little follows.
 
-F1 is that of what `cornercase show` takes for critical; it is 0 as long as only one class was run. A source whose
-scores are all equal is left out.
+F1 is that of what `cornercase show` takes for critical; it is 0 where nothing can be predicted. A source whose scores
+are all equal is left out.
 """
 
 from __future__ import annotations
@@ -29,17 +29,15 @@ import numpy as np
 import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
-from cornercase.evidence._critical_set_estimate import CriticalSet
 from cornercase.evidence._multi_fidelity import SourceStudyModel
 from cornercase.evidence.gp._process import encode_points
-from cornercase.exploration._study_critical_set import is_score_independent
 from cornercase.metrics import registered_features
 from cornercase.optimizers import Auto, Sobol
 from cornercase.study._criterion import Criterion
 
 # Beside this file; mypy knows it by its package.
 from exploration import CASES, EXAMPLES, Folders, Judge, truth  # type: ignore[attr-defined]
-from intervals import HALVES, settle_threshold  # type: ignore[import-not-found]
+from intervals import HALVES, judge_at, settle_threshold  # type: ignore[import-not-found]
 
 SOURCES = ("none", "0.2 s", "driver")
 OTHER_DRIVER = {"normal": "cautious", "aggressive": "normal", "cautious": "normal", None: "cautious"}
@@ -49,13 +47,9 @@ ROUND = 10
 def cheap_scores(name: str, source: str, folders: Folders, steps: int, folder: Path) -> npt.NDArray[np.float64]:
     """Score of each scenario of the grid by the cheap simulator."""
     case = CASES[name]
-    change: dict[str, Any] = {"time_step": 0.2} if source == "0.2 s" else {"driver": OTHER_DRIVER[case.driver]}
-    CASES[name] = replace(case, **change)
-    try:
-        scores: npt.NDArray[np.float64] = truth(name, folders, steps, folder / source.replace(" ", ""))[:, 0]
-        return scores
-    finally:
-        CASES[name] = case
+    cheap = replace(case, time_step=0.2) if source == "0.2 s" else replace(case, driver=OTHER_DRIVER[case.driver])
+    scores: npt.NDArray[np.float64] = truth(name, folders, steps, folder / source.replace(" ", ""), cheap)[:, 0]
+    return scores
 
 
 def search(
@@ -65,11 +59,13 @@ def search(
     warm_start: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]] | None,
 ) -> Iterator[dict[str, float]]:
     """Search, and judge at each size."""
-    criterion, model = Criterion(judge.case.critical), None
+    model = None
     optimizer = Auto().start(judge.space, seed, threshold=judge.case.critical, features=registered_features())
     if warm_start is not None:
         optimizer.warm_start(*warm_start)
-        model = SourceStudyModel(encode_points(judge.space, warm_start[0]), warm_start[1], criterion)
+        model = SourceStudyModel(
+            encode_points(judge.space, warm_start[0]), warm_start[1], Criterion(judge.case.critical)
+        )
     points = np.zeros((0, judge.space.dimension))
     for size in sizes:
         while len(points) < size:
@@ -77,17 +73,7 @@ def search(
             at = judge.places(new)
             optimizer.tell(new, judge.scores[at], judge.features[at])
             points = np.concatenate([points, new])
-        places = judge.places(points)
-        row = {"size": size, "f1": 0.0}
-        if 0 < judge.true[places].sum() < len(places):
-            known = CriticalSet(
-                judge.space, points, judge.scores[places], criterion, seed,
-                initial_design=is_score_independent("auto", judge.space, seed, points),
-                features=(registered_features(), judge.features[places]), source_model=model,
-            )  # fmt: skip
-            both = judge.agreement(known.predict(judge.lattice))
-            row["f1"] = 2.0 * both["recall"] * both["precision"] / max(both["recall"] + both["precision"], 1e-9)
-        yield row
+        yield {"size": size, "f1": judge_at(judge, "auto", seed, judge.places(points), True, model).get("f1", 0.0)}
 
 
 def work(

@@ -208,16 +208,17 @@ def outcomes(case: Case, folders: Folders, values: list[dict[str, Any]]) -> npt.
     return np.column_stack([found, compute_features(runs, "Ego", case.other)])
 
 
-def truth(name: str, folders: Folders, steps: int, folder: Path) -> npt.NDArray[np.float64]:
-    """Score and features of each scenario of the grid, in the order of its lattice."""
+def truth(name: str, folders: Folders, steps: int, folder: Path, case: Case | None = None) -> npt.NDArray[np.float64]:
+    """Score and features of each scenario of the grid, in the order of its lattice; `case` is by default that named."""
     path = folder / f"{name.replace(', ', '-')}-{steps}-features.npy"
     if not path.exists():
-        space = stepped(logical(name, folders).space, steps)
+        case = CASES[name] if case is None else case
+        space = stepped(logical_of(case, folders).space, steps)
         values = space.values(space.full_factorial())
         begin = time.perf_counter()
         parts = [values[k : k + 500] for k in range(0, len(values), 500)]
         with ProcessPoolExecutor(len(os.sched_getaffinity(0))) as pool:
-            whole = np.concatenate(list(pool.map(outcomes, repeat(CASES[name]), repeat(folders), parts)))
+            whole = np.concatenate(list(pool.map(outcomes, repeat(case), repeat(folders), parts)))
         folder.mkdir(parents=True, exist_ok=True)
         np.save(path, whole)
         print(f"{name}: {len(whole)} scenarios in {time.perf_counter() - begin:.0f} s, kept in {path}", flush=True)

@@ -32,6 +32,7 @@ import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
 from cornercase.evidence._critical_set_estimate import CriticalSet
+from cornercase.evidence._multi_fidelity import SourceStudyModel
 from cornercase.exploration._study_critical_set import is_score_independent
 from cornercase.metrics import registered_features
 from cornercase.study._criterion import Criterion
@@ -142,15 +143,18 @@ def run_search(judge: Judge, kind: str, seed: int, size: int, path: Path) -> npt
     return places
 
 
-def judge_at(judge: Judge, kind: str, seed: int, places: npt.NDArray[np.int64], with_features: bool) -> dict[str, Any]:
-    """What is said of the critical set after these scenarios, and whether it is so."""
+def judge_at(
+    judge: Judge, kind: str, seed: int, places: npt.NDArray[np.int64], with_features: bool,
+    source: SourceStudyModel | None = None,
+) -> dict[str, Any]:  # fmt: skip
+    """What is said of the critical set after these scenarios, and whether it is so; `source` is of a warm start."""
     points = judge.lattice[places]
     row: dict[str, Any] = {"size": len(places), "critical": float(judge.true[judge.admitted].mean())}
     try:
         known = CriticalSet(
             judge.space, points, judge.scores[places], Criterion(judge.case.critical), seed,
             initial_design=is_score_independent(kind.partition(",")[0], judge.space, seed, points),
-            features=(registered_features(), judge.features[places]) if with_features else None,
+            features=(registered_features(), judge.features[places]) if with_features else None, source_model=source,
         )  # fmt: skip
     except ValueError:
         return row

@@ -67,7 +67,7 @@ FAILED = 1e3
 
 
 class Filled(Optimizer):
-    """Begins with a Sobol' sequence, of which a fifth of the later scenarios are as well."""
+    """Begins with points of a Sobol' sequence; later a fifth of the points continue it."""
 
     requires = frozenset({"threshold"})
 

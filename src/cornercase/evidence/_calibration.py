@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from scipy.special import log_ndtr, logsumexp, ndtr
 
-from cornercase._common.typing import BoolArray, FloatArray
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
 
 # Points per axis of the grid of the posterior, and its half width in standard deviations of the prior.
 _STEPS: Final = 49
@@ -18,6 +18,8 @@ _FULL_WEIGHT_COUNT: Final = 160
 _MAX_BINS: Final = 128
 SURPRISE_RATES: Final = 0.3 * 0.5 ** np.arange(9)
 """Rates of surprises that are possible besides 0, (9,)."""
+# All rates that are possible, (10, 1).
+_RATES: Final = np.append(0.0, SURPRISE_RATES)[:, None]
 
 
 class ProbitCalibration:
@@ -55,42 +57,48 @@ class ProbitCalibration:
         chosen: tuple[FloatArray, BoolArray] | None = None,
     ) -> None:
         a, log_b = (axis.ravel() for axis in np.meshgrid(*[np.linspace(-_REACH, _REACH, _STEPS)] * 2, indexing="ij"))
-        slope, rates = np.exp(log_b), np.append(0.0, SURPRISE_RATES)[:, None]
-        n_rates = len(SURPRISE_RATES)
+        slope, n_rates = np.exp(log_b), len(SURPRISE_RATES)
         log_prior = np.log(np.append(1.0 - p_surprises, np.full(n_rates, p_surprises / n_rates)))[:, None]
-
-        def log_likelihood(t: FloatArray, critical: BoolArray) -> FloatArray:
-            """Log-likelihood of a record for each rate, and each pair of a and b, (rates, pairs)."""
-            weight = prediction_weight * min(1.0, (_FULL_WEIGHT_COUNT / max(len(t), 1)) ** 0.5)
-            # Whatever the rate, the likelihood of outcomes that are not critical has the same factor.
-            common = np.zeros(len(a))
-            for count, mean in _group_predictions(t[~critical]):
-                common += weight * count * log_ndtr(a + slope * mean)
-            log_likelihood = np.log1p(-rates) * (weight * np.count_nonzero(~critical)) + common
-            for count, mean in _group_predictions(t[critical]):
-                deviate = -(a + slope * mean)
-                log_likelihood[0] += weight * count * log_ndtr(deviate)
-                log_likelihood[1:] += weight * count * np.log(rates[1:] + (1.0 - rates[1:]) * ndtr(deviate))
-            return np.asarray(log_likelihood)
-
-        log_posterior = log_prior - 0.5 * (a**2 + log_b**2) + log_likelihood(t, critical)
+        log_posterior = log_prior - 0.5 * (a**2 + log_b**2) + _log_likelihood(t, critical, a, slope, prediction_weight)
         if chosen is not None:
-            log_posterior = log_posterior + logsumexp(log_prior + log_likelihood(*chosen), axis=0)
+            by_rate = log_prior + _log_likelihood(*chosen, a, slope, prediction_weight)
+            log_posterior = log_posterior + logsumexp(by_rate, axis=0)
         density = np.exp(log_posterior - log_posterior.max())
-        self._a, self._b, self._rate = (np.broadcast_to(values, density.shape).ravel() for values in (a, slope, rates))
+        self._a, self._b, self._rate = (np.broadcast_to(values, density.shape).ravel() for values in (a, slope, _RATES))
         self._posterior = (density / density.sum()).ravel()
 
     def draw_parameters(self, count: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Draw `count` values of a, b and r from the posterior by stratified sampling, shape (count,) each."""
-        # One draw in each of `count` strata of equal probability, in a random order.
-        quantiles = (rng.permutation(count) + rng.random(count)) / count
-        index = np.minimum(np.searchsorted(np.cumsum(self._posterior), quantiles), len(self._a) - 1)
+        index = stratified_indices(self._posterior, count, rng)
         return self._a[index], self._b[index], self._rate[index]
 
     def probability_of_critical(self, t: FloatArray) -> FloatArray:
         """Probability of being critical for statistics t, (n,), at the posterior means of a, b and r."""
         a, b, rate = (float(self._posterior @ values) for values in (self._a, self._b, self._rate))
         return np.asarray(rate + (1.0 - rate) * ndtr(-(a + b * t)))
+
+
+def stratified_indices(probability: FloatArray, count: int, rng: np.random.Generator) -> IntArray:
+    """Draw `count` indices with these probabilities (n,): one in each of `count` strata, in a random order."""
+    quantiles = (rng.permutation(count) + rng.random(count)) / count
+    return np.minimum(np.searchsorted(np.cumsum(probability), quantiles), len(probability) - 1)
+
+
+def _log_likelihood(
+    t: FloatArray, critical: BoolArray, a: FloatArray, slope: FloatArray, prediction_weight: float
+) -> FloatArray:
+    """Log-likelihood of a record for each rate, and each of the pairs of `a` and `slope`, (rates, pairs)."""
+    weight = prediction_weight * min(1.0, (_FULL_WEIGHT_COUNT / max(len(t), 1)) ** 0.5)
+    # Whatever the rate, the likelihood of outcomes that are not critical has the same factor.
+    not_critical = np.zeros(len(a))
+    for count, mean in _group_predictions(t[~critical]):
+        not_critical += weight * count * log_ndtr(a + slope * mean)
+    by_rate = np.log1p(-_RATES) * (weight * np.count_nonzero(~critical)) + not_critical
+    for count, mean in _group_predictions(t[critical]):
+        deviate = -(a + slope * mean)
+        by_rate[0] += weight * count * log_ndtr(deviate)
+        by_rate[1:] += weight * count * np.log(_RATES[1:] + (1.0 - _RATES[1:]) * ndtr(deviate))
+    return np.asarray(by_rate)
 
 
 def _group_predictions(predictions: FloatArray) -> list[tuple[int, float]]:

@@ -16,7 +16,7 @@ from scipy.special import ndtri
 from cornercase._common.numba.blas import single_threaded_blas
 from cornercase._common.row_keys import row_keys
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
-from cornercase.evidence._calibration import SURPRISE_RATES, ProbitCalibration
+from cornercase.evidence._calibration import SURPRISE_RATES, ProbitCalibration, stratified_indices
 from cornercase.evidence._committee import PREDICTED_CRITICAL, CommitteeModel
 from cornercase.evidence._interval_estimate import Estimate
 from cornercase.evidence._multi_fidelity import SourceStudyModel, augment_points
@@ -133,6 +133,9 @@ class CriticalSet:
             self._scores_record = cross_validate_scores(
                 self._process, coordinates, scores, criterion, np.flatnonzero(self._is_initial_design)
             )
+            if self._committee is not None:
+                # Of all scenarios, as normal deviates.
+                self._out_of_fold = _normal_deviate(self._committee.out_of_fold_probability())
             t, critical = self._prediction_record()
             edge = 0.0 if self._committee is None else float(_normal_deviate(np.array(PREDICTED_CRITICAL)))
             self._missed_none = not (critical & (t > edge)).any()
@@ -171,7 +174,7 @@ class CriticalSet:
         A prediction is the distance to the threshold in standard deviations.
         """
         if self._committee is not None:
-            t = _normal_deviate(self._committee.out_of_fold_probability())[self._is_initial_design]
+            t = self._out_of_fold[self._is_initial_design]
         else:
             mean, deviation = self._scores_record
             t = mean / deviation
@@ -190,7 +193,7 @@ class CriticalSet:
         if self._committee is None:
             return None
         chosen = ~self._is_initial_design
-        return _normal_deviate(self._committee.out_of_fold_probability())[chosen], self._critical[chosen]
+        return self._out_of_fold[chosen], self._critical[chosen]
 
     def _probability_of_surprises(self, scores: FloatArray, criterion: Criterion) -> float:
         """Prior probability of surprises; it is small if the process predicts left-out scores well.
@@ -347,11 +350,8 @@ class CriticalSet:
         sizes = np.append(0.0, SURPRISE_RATES)
         escapes = [_P_HIDDEN / len(SURPRISE_RATES) * self.unexplored_fraction(size) for size in sizes[1:]]
         probability = np.array([1.0 - _P_HIDDEN, *escapes])
-        # One draw in each of as many strata of equal probability, in a random order.
         rng = np.random.default_rng([self._seed, 8])
-        quantiles = (rng.permutation(len(critical)) + rng.random(len(critical))) / len(critical)
-        cumulative = np.cumsum(probability / probability.sum())
-        hidden = sizes[np.minimum(np.searchsorted(cumulative, quantiles), len(SURPRISE_RATES))]
+        hidden = sizes[stratified_indices(probability / probability.sum(), len(critical), rng)]
         return float(np.quantile((not_found + hidden) / (critical + hidden), 0.95))
 
     @cached_property
