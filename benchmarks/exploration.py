@@ -46,7 +46,7 @@ from threadpoolctl import threadpool_limits
 from cornercase import LogicalScenario
 from cornercase.evidence._critical_set_estimate import CriticalSet
 from cornercase.exploration._asynchronous import max_pending_scenarios
-from cornercase.exploration._study_critical_set import is_score_independent, uses_features
+from cornercase.exploration._study_critical_set import is_judged_with_features, is_score_independent
 from cornercase.metrics import METRICS, compute_features, registered_features
 from cornercase.optimizers import (
     Auto,
@@ -261,11 +261,14 @@ class Judge:
         hit = set(self.regions[places]) & self.large
         row = {"regions": len(hit) / max(len(self.large), 1), "best": float(np.nanmin(self.scores[places]))}
         row |= self.found(places, seed)
+        features = (
+            (registered_features(), self.features[places]) if is_judged_with_features(kind, len(points)) else None
+        )
         try:
             known = CriticalSet(
                 self.space, points, self.scores[places], Criterion(self.case.critical), seed,
                 initial_design=is_score_independent(kind.partition(",")[0], self.space, seed, points),
-                features=(registered_features(), self.features[places]) if uses_features(kind) else None,
+                features=features,
             )  # fmt: skip
         except ValueError:
             return row | {"share": np.nan, "missed": np.nan}
@@ -276,7 +279,7 @@ class Judge:
         # Where no interval is given, none can be wrong.
         row["share"] = np.nan if known.interval_unavailable else float(within)
         row["missed"] = np.nan if known.missed_interval_unavailable else float(missed)
-        return row | {"most missed": known.missed_upper_bound}
+        return row | {"most missed": known.missed_upper_bound()}
 
     def found(self, places: npt.NDArray[np.int64], seed: int) -> dict[str, float]:
         """Recall and precision of what was run at places, and elsewhere of what the best classifier of it tells."""

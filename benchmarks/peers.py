@@ -48,7 +48,6 @@ from sklearn.ensemble import ExtraTreesClassifier
 from threadpoolctl import threadpool_limits
 
 from cornercase.evidence._committee import PREDICTED_CRITICAL, CommitteeModel
-from cornercase.exploration._study_critical_set import uses_features
 from cornercase.metrics import registered_features
 from cornercase.optimizers import Optimizer, Sobol
 from cornercase.study._criterion import Criterion
@@ -58,7 +57,7 @@ from judging import best_classifier  # type: ignore[import-not-found]
 Floats = npt.NDArray[np.float64]
 KINDS = ("sobol", "bayes", "level-set", "committee", "auto", "forest-al")
 VERIFAI = {"verifai-ce": "crossEntropySamplerFor", "verifai-mab": "multiArmedBanditSamplerFor"}
-JUDGES = ("own", "features", "parameters")
+JUDGES = ("found", "process", "parameters")
 ROUND, INITIAL, TREES, CANDIDATES, FILLING, WIDTH = 10, 24, 100, 4096, 0.2, 0.1
 # Of NSGA-II-D; its archive takes what is further than NOVEL from all in it.
 POPULATION, REPLACED, NOVEL = 20, 6, 0.1
@@ -310,10 +309,8 @@ def judged(judge: Judge, kind: str, seed: int, points: Floats) -> dict[str, floa
         return row
     runs = judge.lattice[at], judge.scores[at], judge.features[at]
     committee = CommitteeModel(Criterion(judge.case.critical), registered_features(), seed).fit(*runs)
-    row["features"] = f1(judge, committee.predict(judge.lattice)[0] >= PREDICTED_CRITICAL, places)
-    row["own"] = row["features"]
-    if not uses_features(kind):
-        row["own"] = f1(judge, committee.process.predict(judge.lattice)[0] < 0.0, places)
+    row["found"] = f1(judge, committee.predict(judge.lattice)[0] >= PREDICTED_CRITICAL, places)
+    row["process"] = f1(judge, committee.process.predict(judge.lattice)[0] < 0.0, places)
     _, probability = best_classifier(("process", "forest"), *runs, judge.case.critical, seed)
     if probability is not None:
         row["parameters"] = f1(judge, probability(judge.lattice) >= 0.5, places)

@@ -204,7 +204,9 @@ def test_criteria_are_read():
         "missed<",
         "missed<1.5",
         "lost<0.1",
-        "missed(0.1)<0.2",
+        "missed(1.1)<0.2",
+        "missed(0)<0.2",
+        "interval(0.1)<0.2",
         "interval<-1",
         "missed<nan",
         "__import__<1",
@@ -371,8 +373,10 @@ def test_what_is_missed_at_most_counts_a_region_that_no_score_points_to(count):
     escapes = np.linalg.norm(centres[:, None] - points, axis=2).min(axis=1) >= radii
     # As many draws without a ball, which are never rejected.
     fractions = np.concatenate([np.zeros(3000), sizes[escapes] / (known.critical_fraction.value + sizes[escapes])])
-    assert known.missed_upper_bound == pytest.approx(np.quantile(fractions, 0.95), abs=0.012)
-    assert StopCriterion.parse("missed<0.1").evaluate(known) == known.missed_upper_bound
+    assert known.missed_upper_bound() == pytest.approx(np.quantile(fractions, 0.95), abs=0.012)
+    assert StopCriterion.parse("missed<0.1").evaluate(known) == known.missed_upper_bound()
+    assert StopCriterion.parse("missed(0.7)<0.1").evaluate(known) == known.missed_upper_bound(0.7)
+    assert known.missed_upper_bound(0.7) < known.missed_upper_bound()
 
 
 def test_a_bound_of_what_is_missed_falls_to_0_once_all_was_run():
@@ -380,8 +384,8 @@ def test_a_bound_of_what_is_missed_falls_to_0_once_all_was_run():
     points = few.full_factorial()
     scores = np.where(np.linalg.norm(points - 0.5, axis=1) < 0.3, 0.0, 1.0)
     part = np.random.default_rng(0).permutation(len(points))[:60]
-    assert CriticalSet(few, points[part], scores[part], Criterion(0.5)).missed_upper_bound > 0.02
-    assert CriticalSet(few, points, scores, Criterion(0.5)).missed_upper_bound == 0.0
+    assert CriticalSet(few, points[part], scores[part], Criterion(0.5)).missed_upper_bound() > 0.02
+    assert CriticalSet(few, points, scores, Criterion(0.5)).missed_upper_bound() == 0.0
 
 
 def jumping(points):

@@ -14,6 +14,7 @@ from cornercase.stop._stop_rules import resolve_stop_rules
     ("rule", "text"),
     [
         (cc.stop.missed(0.05), "missed<0.05"),
+        (cc.stop.missed(0.05, confidence=0.7), "missed(0.7)<0.05"),
         (cc.stop.interval(0.05), "interval<0.05"),
         (cc.stop.overlooked(0.05, size=0.02), "overlooked(0.02)<0.05"),
         (cc.stop.unvisited(0.05), "unvisited(0.01)<0.05"),

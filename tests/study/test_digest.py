@@ -24,7 +24,14 @@ from cornercase.recordings import Collision, Recording
 from cornercase.study import StudyFile, verify
 from cornercase.study._checksums import delete_rows, insert_rows
 from cornercase.study._codec import pack_arrays, unpack_arrays
-from cornercase.study._digest import decode_digest, decode_facts, downsample, encode_digest, make_digest
+from cornercase.study._digest import (
+    decode_digest,
+    decode_facts,
+    downsample,
+    encode_digest,
+    make_digest,
+    measure_registered_features,
+)
 from helpers.synthetic_study import SPACE, about, explorer
 
 
@@ -71,7 +78,9 @@ def test_a_digest_has_what_the_recording_gives(n_instants, stride):
     recording = crossing(n_instants)
     meta = about(SPACE, "wttc", "distance", other=("B", "C", "Nowhere"))
     courses = {name: METRICS.create(name).course(recording, "Ego", "C") for name in meta.metrics}
-    facts, packed = encode_digest(make_digest(recording, courses, meta, stride))
+    facts, packed = encode_digest(
+        make_digest(recording, courses, meta, stride), measure_registered_features(recording, meta)
+    )
     digest = decode_digest(decode_facts(facts), packed, meta)
 
     assert (digest.n_instants, digest.begin, digest.end) == (n_instants, recording.time[0], recording.time[-1])
@@ -134,7 +143,7 @@ def test_a_digest_without_rounded_recording_gives_the_same_page(explored, tmp_pa
     assert (tmp_path / "old.html").read_bytes() == (tmp_path / "new.html").read_bytes()
 
 
-def test_a_search_that_learns_from_features_reads_no_recording_again(tmp_path):
+def test_the_critical_set_is_predicted_with_stored_features(tmp_path):
     meta = about(SPACE, "distance", critical=1.0, optimizer="level-set", budget=30)
     with CountingStudy(StudyFile.create(tmp_path / "study.db", meta)._database) as study:
         explorer(study, critical=1.0, optimizer="level-set", budget=30).run()
@@ -143,6 +152,7 @@ def test_a_search_that_learns_from_features_reads_no_recording_again(tmp_path):
         critical = cc.summarize(study).estimates.critical
         assert critical is not None
         assert critical.critical_set is not None
+        assert critical.critical_set.by_committee
         assert study.unpacked == []
         ids = [row.id for row in study.finished_rows()]
         computed = compute_features(map(study.recording, ids), meta.ego, meta.others)
@@ -189,7 +199,7 @@ def test_a_lost_digest_is_found_and_made_again(explored, tmp_path):
 
 def test_a_digest_that_does_not_fit_the_study_is_refused():
     recording, meta = crossing(90), about(SPACE, "distance")
-    facts, packed = encode_digest(make_digest(recording, {}, meta, 1))
+    facts, packed = encode_digest(make_digest(recording, {}, meta, 1), measure_registered_features(recording, meta))
     with pytest.raises(ValueError, match="endings"):
         decode_digest(decode_facts(facts) | {"endings": []}, packed, meta)
     with pytest.raises(ValueError, match="series"):

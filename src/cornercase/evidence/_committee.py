@@ -23,7 +23,7 @@ C. Elkan, B. Naryanaswamy, "Optimal thresholding of classifiers to maximize F1 m
 """
 
 if TYPE_CHECKING:
-    from sklearn.ensemble import ExtraTreesClassifier, RandomForestClassifier
+    from sklearn.ensemble import ExtraTreesRegressor, RandomForestRegressor
 
 _FOLDS: Final = 5
 # For the weights of the members: EM steps, and prior count of scenarios for each member.
@@ -51,15 +51,15 @@ class CommitteeModel:
     The prediction is a weighted mean of the three probabilities. The weights maximize the likelihood of the known
     outcomes for out-of-fold predictions.
 
-    `fit` learns everything; `condition_on` updates the data at less cost. With more than 512 scenarios the processes
-    of the features use 512: half of them nearest to the threshold, the others evenly spaced among the rest. Trees use
-    at most 4,000 scenarios: half nearest to the threshold, and of the rest the rarer class first. The process of the
-    scores uses all scenarios.
+    `fit` learns everything; `condition_on` updates the data at less cost. With more than 256 scenarios the processes
+    of the features use 256: half of them nearest to the threshold, the others evenly spaced among the rest. Their
+    kernels are learned from at most 120. Trees use at most 4,000 scenarios: half nearest to the threshold, and of the
+    rest the rarer class first. The process of the scores uses all scenarios.
 
-    A subclass can make it cheaper: with fewer trees (`n_trees`, and `n_trees_per_fold` out of fold), with kernels of
-    the features that are learned from at most `max_kernel_scenarios`, and (`may_be_alone`) with a single classifier, if
-    that predicts the outcomes better than all together: with less out-of-fold log loss. The others are then not trained
-    until the next `fit`.
+    A subclass may use more: more scenarios (`max_process_scenarios`, `max_kernel_scenarios`) and more trees (`n_trees`,
+    and `n_trees_per_fold` out of fold). It may also (`may_be_alone`) use a single classifier, if that predicts the
+    outcomes better than all together: with less out-of-fold log loss. The others are then not trained until the next
+    `fit`.
 
     `columns` describes the features. `has_prediction` says whether the last coordinate of points is the prediction of
     another study (`SourceStudyModel`). Trees and the processes of features use it only if a forest clearly predicts the
@@ -70,11 +70,11 @@ class CommitteeModel:
     (1992).
     """
 
-    max_process_scenarios: ClassVar[int] = 512
+    max_process_scenarios: ClassVar[int] = 256
     max_tree_scenarios: ClassVar[int] = 4000
-    max_kernel_scenarios: ClassVar[int | None] = None
-    n_trees: ClassVar[int] = 64
-    n_trees_per_fold: ClassVar[int] = 24
+    max_kernel_scenarios: ClassVar[int | None] = 120
+    n_trees: ClassVar[int] = 32
+    n_trees_per_fold: ClassVar[int] = 16
     may_be_alone: ClassVar[bool] = False
 
     def __init__(
@@ -153,7 +153,7 @@ class CommitteeModel:
         critical, classes = self._combine_members(points, mean / np.hypot(deviation, self.process.kernel.noise))
         if self._trees is None:
             return critical, np.ones(len(points))
-        branches = self._trees.classes_ // 2
+        branches = np.unique(self._classes) // 2
         by_branch = np.stack([classes[:, branches == branch].sum(axis=1) for branch in np.unique(branches)])
         return critical, np.minimum(by_branch.max(axis=0), 1.0)
 
@@ -165,10 +165,12 @@ class CommitteeModel:
         points = self._tree_coordinates(points)
         classes, by_member = np.empty((len(points), 0)), [np.zeros(len(points)), np.zeros(len(points)), ndtr(-t)]
         if self._trees is not None:
-            classes = self._trees.predict_proba(np.hstack([points, self._feature_models.predict_features(points)]))
-            by_member[0] = _critical_probability_of_classes(self._trees, classes)
+            classes = self._class_probabilities(
+                self._trees, np.hstack([points, self._feature_models.predict_features(points)])
+            )
+            by_member[0] = self._critical_probability(classes)
         if self._forest is not None:
-            by_member[1] = _critical_probability_by_forest(self._forest, points)
+            by_member[1] = self._forest.predict(points)
         return np.asarray(self._weights @ np.stack(by_member)), classes
 
     def out_of_fold_probability(self) -> FloatArray:
@@ -197,9 +199,9 @@ class CommitteeModel:
         for train, test in self._train_test_folds(self._critical):
             trees, forest = self._train_trees(train, self.n_trees_per_fold)
             if trees is not None:
-                probability[test, 0] = _critical_probability_of_classes(trees, trees.predict_proba(self._columns[test]))
+                probability[test, 0] = self._critical_probability(self._class_probabilities(trees, self._columns[test]))
             if forest is not None:
-                probability[test, 1] = _critical_probability_by_forest(forest, self._points[test])
+                probability[test, 1] = forest.predict(self._points[test])
         return probability
 
     def _prediction_helps(self, points: FloatArray, scores: FloatArray) -> bool:
@@ -208,7 +210,7 @@ class CommitteeModel:
         Both forests are judged by the log loss of scenarios outside of their fold. One standard error is the rule of L.
         Breiman et al., "Classification and regression trees" (1984), section 3.4.3.
         """
-        from sklearn.ensemble import RandomForestClassifier
+        from sklearn.ensemble import RandomForestRegressor
 
         selected = self._select_tree_scenarios(scores)
         points, critical = points[selected], self._criterion.is_critical(scores[selected])
@@ -216,9 +218,9 @@ class CommitteeModel:
         for train, test in self._train_test_folds(critical):
             for k, coordinates in enumerate((points[:, :-1], points)):
                 # Every split considers all coordinates, so that both forests differ by the prediction alone.
-                forest = RandomForestClassifier(self.n_trees, max_features=None, random_state=self._seed)
+                forest = RandomForestRegressor(self.n_trees, max_features=None, random_state=self._seed)
                 forest.fit(coordinates[train], critical[train])
-                probability[test, k] = _critical_probability_by_forest(forest, coordinates[test])
+                probability[test, k] = forest.predict(coordinates[test])
         gain = np.diff(np.log(_likelihoods(probability, critical)), axis=1)
         return bool(gain.mean() > gain.std() / np.sqrt(len(gain)))
 
@@ -241,22 +243,31 @@ class CommitteeModel:
 
     def _train_trees(
         self, indices: IntArray, n_trees: int
-    ) -> tuple[ExtraTreesClassifier | None, RandomForestClassifier | None]:
+    ) -> tuple[ExtraTreesRegressor | None, RandomForestRegressor | None]:
         """Train trees on predicted features for the classes, and a forest on parameters for being critical.
 
-        None for one without weight.
+        None for one without weight. Regression on indicators of the classes gives the trees of a classifier, since the
+        split with the least Gini impurity is that with the least variance of the indicators; but it takes less time.
         """
-        from sklearn.ensemble import ExtraTreesClassifier, RandomForestClassifier
+        from sklearn.ensemble import ExtraTreesRegressor, RandomForestRegressor
 
         trees = forest = None
         if self._weights[0] > 0.0:
             # Every split considers all features, since few of them tell the branches of a scenario apart.
-            trees = ExtraTreesClassifier(n_trees, max_features=None, random_state=self._seed)
-            trees.fit(self._columns[indices], self._classes[indices])
+            trees = ExtraTreesRegressor(n_trees, max_features=None, random_state=self._seed)
+            trees.fit(self._columns[indices], self._classes[indices, None] == np.unique(self._classes))
         if self._weights[1] > 0.0:
-            forest = RandomForestClassifier(n_trees, random_state=self._seed)
+            forest = RandomForestRegressor(n_trees, max_features="sqrt", random_state=self._seed)
             forest.fit(self._points[indices], self._critical[indices])
         return trees, forest
+
+    def _class_probabilities(self, trees: ExtraTreesRegressor, columns: FloatArray) -> FloatArray:
+        """Probabilities of the classes by trees, (m, classes)."""
+        return np.asarray(trees.predict(columns)).reshape(len(columns), -1)
+
+    def _critical_probability(self, class_probabilities: FloatArray) -> FloatArray:
+        """Probability of being critical: the sum over the probabilities of the critical classes."""
+        return np.asarray(np.minimum(class_probabilities[:, np.unique(self._classes) % 2 == 1].sum(axis=1), 1.0))
 
     def _select_tree_scenarios(self, scores: FloatArray) -> IntArray:
         """Select the scenarios that trees use: all, or a part of very many.
@@ -301,16 +312,6 @@ class CommitteeModel:
             for k, j in enumerate(self._branches):
                 classes += 2 ** (k + 1) * (features[:, j] > 0.0)
         return classes
-
-
-def _critical_probability_of_classes(trees: ExtraTreesClassifier, class_probabilities: FloatArray) -> FloatArray:
-    """Probability of being critical: the sum over the probabilities of the critical classes."""
-    return np.asarray(np.minimum(class_probabilities[:, trees.classes_ % 2 == 1].sum(axis=1), 1.0))
-
-
-def _critical_probability_by_forest(forest: RandomForestClassifier, points: FloatArray) -> FloatArray:
-    """Probability of being critical by a forest, which may have been trained on a single class."""
-    return np.asarray(forest.predict_proba(points)[:, forest.classes_].sum(axis=1))
 
 
 def _likelihoods(probabilities: FloatArray, critical: BoolArray) -> FloatArray:

@@ -58,6 +58,8 @@ _MIN_PROBABILITY: Final = 1e-3
 
 MIN_REGION_FRACTION: Final = 0.01
 """Default of the smallest fraction of the space that counts as a region."""
+DEFAULT_CONFIDENCE: Final = 0.95
+"""Default of the probability with which less than a bound is missed."""
 # Draws whose connected regions are found in one go.
 _DRAWS_AT_ONCE: Final = 40
 
@@ -333,9 +335,8 @@ class CriticalSet:
             not_found = np.clip(self._samples.critical_fraction_within(~self._is_found), 0.0, critical)
         return not_found[critical > 0.0], critical[critical > 0.0]
 
-    @property
-    def missed_upper_bound(self) -> float:
-        """Fraction of the critical set that is missed at most, with a probability of 95 %; 1 if there is no interval.
+    def missed_upper_bound(self, confidence: float = DEFAULT_CONFIDENCE) -> float:
+        """Fraction of the critical set that is missed at most, with this probability; 1 if there is no interval.
 
         In contrast to `missed_fraction`, each draw may have one more critical region: a ball at a random place, in
         which no scenario was run and to which no score points. Beforehand the odds that there is one are even, and all
@@ -352,7 +353,7 @@ class CriticalSet:
         probability = np.array([1.0 - _P_HIDDEN, *escapes])
         rng = np.random.default_rng([self._seed, 8])
         hidden = sizes[stratified_indices(probability / probability.sum(), len(critical), rng)]
-        return float(np.quantile((not_found + hidden) / (critical + hidden), 0.95))
+        return float(np.quantile((not_found + hidden) / (critical + hidden), confidence))
 
     @cached_property
     def max_fraction_in_empty_region(self) -> float:

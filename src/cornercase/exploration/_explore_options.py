@@ -116,7 +116,8 @@ class ExplorationOptions(SimulationOptions, RunOptions):
         docs="Study with the same parameters but another driver, simulator or time step, whose scores warm-start the"
         " search. They are copied; a search that is resumed does not need that study.")
     stop_when: StopRule | Sequence[StopRule | str] = _search(
-        (), "Stop when enough is known about the critical set: missed<0.01, interval<0.05, overlooked(0.01)<0.05,"
+        (), "Stop when enough is known about the critical set: missed<0.01, missed(0.7)<0.01, interval<0.05,"
+        " overlooked(0.01)<0.05,"
         " unvisited(0.01)<0.05, audited-missed<0.1; with several, when all hold.", metavar="WHAT<X",
         docs="Stop when the critical set is known this well, such as ``cornercase.stop.missed(0.01)`` or"
         ' ``"missed<0.01"``; all criteria must hold. `cornercase.stop.seconds` and `cornercase.stop.no_improvement` end'

@@ -261,7 +261,7 @@ class ScenarioExplorer:
 
     def _stop_criteria_reason(self) -> str | None:
         """Return a description if all stop criteria on the critical set hold, else None."""
-        if not self._stopping.is_ready:
+        if not self._stopping.has_criteria:
             return None
         with self._clock("judge"):
             return self._stopping.describe_if_all_reached()
@@ -310,12 +310,14 @@ class ScenarioExplorer:
         if not searched:
             return
         points, scores = points[~audits], scores[~audits]
-
-        features = (self._read_features(searched, scores_by_id),) if self._uses_features else ()
-        with self._clock("judge"):
-            self._stopping.add_results(points, scores, *features)
+        features: tuple[FloatArray, ...] = ()
+        if self._uses_features or self._stopping.has_criteria:
+            features = (self._read_features(searched, scores_by_id),)
+        if self._stopping.has_criteria:
+            with self._clock("judge"):
+                self._stopping.add_results(points, scores, *features)
         with self._clock("optimize"):
-            self._ask_tell.tell(points, scores, *features)
+            self._ask_tell.tell(points, scores, *(features if self._uses_features else ()))
         self._update_patience(scores)
 
     def _update_patience(self, scores: FloatArray) -> None:

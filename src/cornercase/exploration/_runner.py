@@ -72,7 +72,6 @@ class ScenarioRunner:
         self._config, self._simulator, self._objective = config, simulator, objective
         self._study, self._clock = study, clock
         self._repeat_policy = RepeatPolicy(config, objective)
-        self._uses_features = "features" in config.search.requires
         self.notices = RunNotices(simulator)
         # Number of scenarios that failed by an exception of a driver, the simulator or a metric, and the last error.
         self._n_exceptions, self._last_error = 0, SimulationError()
@@ -191,7 +190,7 @@ class ScenarioRunner:
             repeats = {name: [run[name].score for _, run in repeated_run.runs] for name in courses}
         if self._reference_runs is None:
             with self._clock("store"):
-                self._study.writer.record_result(row.id, recording, courses, repeats, with_features=self._uses_features)
+                self._study.writer.record_result(row.id, recording, courses, repeats)
             return scores[middle]
         with self._clock("measure"):
             pending = self._reference_runs.evaluate_condition(row, recording, courses)
@@ -214,7 +213,6 @@ class ScenarioRunner:
                 pending_condition.recording,
                 courses,
                 references=pending_condition.reference_outcomes,
-                with_features=self._uses_features,
             )
         return self._objective.minimized(np.array([[result.score for result in courses.values()]]))[0]
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from typing import Final
 
 import numpy as np
 
@@ -11,14 +11,14 @@ from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray
 from cornercase.evidence._critical_set_estimate import CriticalSet
 from cornercase.evidence._multi_fidelity import SourceStudyModel
-from cornercase.exploration._study_critical_set import is_score_independent
+from cornercase.exploration._study_critical_set import is_judged_with_features, is_score_independent
 from cornercase.metrics import registered_features
 from cornercase.scenario import ParameterSpace
 from cornercase.stop._stop_rules import StopCriterion
 from cornercase.study._criterion import Criterion
 
-# Minimum number of scenarios to judge a critical set.
-_MIN_SCENARIOS: Final = 40
+# Minimum number of scenarios to judge a critical set, and the growth after which it is judged again.
+_MIN_SCENARIOS, _GROWTH = 40, 1.1
 
 
 class StopCriteria:
@@ -47,13 +47,17 @@ class StopCriteria:
         self._points, self._scores = np.zeros((0, space.dimension)), np.zeros(0)
         self._audit_points, self._audit_scores = self._points, self._scores
         self._features: list[FloatArray] = []
+        self._n_before = 0  # number of scenarios before the last results
+
+    @property
+    def has_criteria(self) -> bool:
+        """Whether there are criteria; without them, results are not collected."""
+        return bool(self._criteria)
 
     def add_results(self, points: FloatArray, scores: FloatArray, features: FloatArray | None = None) -> None:
-        """Add points (m, d) and scores (m,), lower where more critical, NaN if failed.
-
-        `features` (m, f) are added if the search uses features.
-        """
+        """Add points (m, d), scores (m,), lower where more critical, and features (m, f) if known; NaN if failed."""
         if self._criteria:
+            self._n_before = len(self._scores)
             self._features += [] if features is None else [features]
             self._points = np.concatenate([self._points, points])
             self._scores = np.concatenate([self._scores, scores])
@@ -64,13 +68,14 @@ class StopCriteria:
             self._audit_points = np.concatenate([self._audit_points, points])
             self._audit_scores = np.concatenate([self._audit_scores, scores])
 
-    @property
-    def is_ready(self) -> bool:
-        """Whether there are criteria and enough scenarios to check them."""
-        return bool(self._criteria) and len(self._scores) >= _MIN_SCENARIOS
-
     def describe_if_all_reached(self) -> str | None:
-        """Describe how well the critical set is known if all criteria hold, else None."""
+        """Describe how well the critical set is known if all criteria hold, else None.
+
+        Criteria are checked whenever the number of scenarios has grown by a tenth. When they are depends on this number
+        alone, so that a study that is resumed ends like one that is not.
+        """
+        if _n_checks(len(self._scores)) == _n_checks(self._n_before):
+            return None
         values = self._values()
         if values is None or not all(value < rule.bound for rule, value in values):
             return None
@@ -91,8 +96,11 @@ class StopCriteria:
 
     def _values(self) -> list[tuple[StopCriterion, float]] | None:
         """Return each criterion with the value of its quantity; None if too little is known."""
-        if not self.is_ready or self._criterion is None:
+        if not self._criteria or self._criterion is None or len(self._scores) < _MIN_SCENARIOS:
             return None
+        features = None
+        if self._features and is_judged_with_features(self._optimizer, int(np.isfinite(self._scores).sum())):
+            features = registered_features(), np.concatenate(self._features)
         try:
             critical_set = CriticalSet(
                 self._space,
@@ -102,9 +110,14 @@ class StopCriteria:
                 self._seed,
                 initial_design=is_score_independent(self._optimizer, self._space, self._seed, self._points),
                 audits=(self._audit_points, self._audit_scores),
-                features=(registered_features(), np.concatenate(self._features)) if self._features else None,
+                features=features,
                 source_model=self._source_model,
             )
         except ValueError:
             return None
         return [(rule, rule.evaluate(critical_set)) for rule in self._criteria]
+
+
+def _n_checks(n_scenarios: int) -> int:
+    """How often criteria are checked at most until this number of scenarios."""
+    return 0 if n_scenarios < _MIN_SCENARIOS else 1 + int(math.log(n_scenarios / _MIN_SCENARIOS, _GROWTH))

@@ -18,6 +18,8 @@ from cornercase.study._criterion import Criterion
 
 # Separates the random numbers of audits from those of the search.
 _AUDIT_SEED_SALT = 0xA0D17
+# Most scenarios with which every study is judged with features. With more, a committee takes long.
+_MAX_FEATURE_SCENARIOS = 2000
 
 
 def audit_sampler(space: ParameterSpace, seed: int) -> Random:
@@ -48,8 +50,13 @@ def is_score_independent(optimizer: str, space: ParameterSpace, seed: int, point
     return np.array([key in initial_design for key in keys], dtype=np.bool_)
 
 
-def uses_features(optimizer: str) -> bool:
-    """Whether a search uses features of recordings; False if the optimizer is not registered."""
+def is_judged_with_features(optimizer: str, n_scenarios: int) -> bool:
+    """Whether the critical set of a study with `n_scenarios` finished ones is predicted with features of recordings.
+
+    It is with up to 2,000 scenarios, and always if the search uses features, too.
+    """
+    if n_scenarios <= _MAX_FEATURE_SCENARIOS:
+        return True
     try:
         return "features" in OPTIMIZERS.get_class(optimizer).requires
     except InputError:
@@ -67,12 +74,14 @@ def source_study_model(study: StudyFile, criterion: Criterion) -> SourceStudyMod
 def estimate_critical_set(study: StudyFile, *, last_id: int | None = None, seed: int | None = None) -> CriticalSet:
     """Estimate the critical set of a study; audits do not influence the estimate, but assess it.
 
-    `last_id` is the id of the last scenario that counts. `seed` replaces the seed of the study; two sets are compared
-    with the same seed. Raises ValueError without a threshold, for fewer than 10 scores without audits, or equal scores.
+    `last_id` is the id of the last scenario that counts; whether features are used depends on all scenarios. `seed`
+    replaces the seed of the study; two sets are compared with the same seed. Raises ValueError without a threshold, for
+    fewer than 10 scores without audits, or equal scores.
     """
     meta, objective = study.meta, study.objective
     if (criterion := objective.criterion) is None:
         raise ValueError("The study has no threshold.")
+    n_finished = sum(not meta.is_audit(row.id) for row in study.finished_rows())
     candidates = [row for row in study.rows() if last_id is None or row.id <= last_id]
     ended = [row for row in candidates if row.state == "done"]
     audits = np.array([meta.is_audit(row.id) for row in ended], dtype=np.bool_)
@@ -83,9 +92,9 @@ def estimate_critical_set(study: StudyFile, *, last_id: int | None = None, seed:
     score_independent = is_score_independent(
         meta.optimizer, study.space, meta.seed, np.array([row.point for row in rows])
     )
-    features = None
-    if uses_features(meta.optimizer):
-        features = registered_features(), study.features([row.id for row in rows if row.state == "done"])
+    features, finished = None, [row.id for row in rows if row.state == "done"]
+    if is_judged_with_features(meta.optimizer, n_finished):
+        features = registered_features(), study.features(finished)
     return CriticalSet(
         study.space,
         points[~audits],

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import ClassVar, Final
 
 import numpy as np
@@ -372,7 +373,13 @@ def compute_features(recordings: Iterable[Recording | None], ego: str, other: st
 
 
 def _create_feature_groups() -> list[FeatureGroup]:
-    return [FEATURES.create(name) for name in FEATURES.names()]
+    return [_create_group(name, FEATURES.get_factory(name)) for name in FEATURES.names()]
+
+
+@cache
+def _create_group(name: str, _factory: Callable[..., FeatureGroup]) -> FeatureGroup:
+    """Create a group once: that takes as long as its features of a recording."""
+    return FEATURES.create(name)
 
 
 def _features_of_recording(

@@ -26,12 +26,8 @@ _CONDITIONING_STEP: Final = 5  # number of further scenarios after which the mod
 
 
 class _ProposalModel(CommitteeModel):
-    """Committee that is trained in less than half of the time, or a single one of its classifiers."""
+    """Committee, or a single one of its classifiers."""
 
-    max_process_scenarios: ClassVar[int] = 256
-    max_kernel_scenarios: ClassVar[int | None] = 120
-    n_trees: ClassVar[int] = 32
-    n_trees_per_fold: ClassVar[int] = 16
     may_be_alone: ClassVar[bool] = True
 
 

@@ -25,6 +25,15 @@ _MIN_SIDE: Final = 0.1  # least scale of a coordinate that the score depends on 
 _MAX_DEVIATION: Final = 0.06  # greatest deviation of candidates from critical scenarios
 
 
+class _ThoroughModel(CommitteeModel):
+    """Committee that learns from more scenarios, with more trees."""
+
+    max_process_scenarios: ClassVar[int] = 512
+    max_kernel_scenarios: ClassVar[int | None] = None
+    n_trees: ClassVar[int] = 64
+    n_trees_per_fold: ClassVar[int] = 24
+
+
 class Committee(WarmStartOptimizer):
     """Proposes the scenarios about which a committee of classifiers (`CommitteeModel`) is most uncertain.
 
@@ -73,7 +82,7 @@ class Committee(WarmStartOptimizer):
     _near_fraction: ClassVar[float] = 0.85
     """Fraction of the candidates near critical scenarios."""
 
-    _model_class: ClassVar[type[CommitteeModel]] = CommitteeModel
+    _model_class: ClassVar[type[CommitteeModel]] = _ThoroughModel
 
     def __init__(self, candidates: int = 4096, filling: float = 0.15) -> None:
         self._count = check_int("candidates", candidates, 1)

@@ -18,7 +18,7 @@ from cornercase.evidence._score_surrogate import ScoreSurrogate, fit_surrogate
 from cornercase.evidence._sensitivity import sensitivity_of_surrogate
 from cornercase.evidence._space_sample import SpaceSample, is_small_and_finite
 from cornercase.exploration._best_scores import is_on_pareto_front
-from cornercase.exploration._study_critical_set import estimate_critical_set, uses_features
+from cornercase.exploration._study_critical_set import estimate_critical_set
 from cornercase.study import StudyFile
 from cornercase.study._criterion import Criterion
 
@@ -269,7 +269,7 @@ def estimate_missed_fractions(study: StudyFile, estimates: SpaceEstimates) -> It
         return
     rounds = np.array([row.round for row in rows])
     ends = (np.flatnonzero(np.diff(rounds)) + 1).tolist()
-    max_sizes, max_scenarios = _COMMITTEE_LIMITS if uses_features(study.meta.optimizer) else _PROCESS_LIMITS
+    max_sizes, max_scenarios = _COMMITTEE_LIMITS if critical.critical_set.by_committee else _PROCESS_LIMITS
     targets = [len(rows) / 2.0**k for k in range(max_sizes - 1, 0, -1)]
     nearest = {min(ends, key=lambda end: abs(end - size)) for size in targets if ends}
     for size in sorted(size for size in nearest if _MIN_SCENARIOS <= size <= max_scenarios):

@@ -9,9 +9,9 @@ from math import inf
 
 from cornercase._common.errors import InputError
 from cornercase._common.validation import check_float, check_int, repr_short
-from cornercase.evidence._critical_set_estimate import MIN_REGION_FRACTION, CriticalSet
+from cornercase.evidence._critical_set_estimate import DEFAULT_CONFIDENCE, MIN_REGION_FRACTION, CriticalSet
 
-_CRITERION_PATTERN = re.compile(r"(?P<what>[a-z-]+)(?:\((?P<size>[^()]*)\))?<(?P<below>.+)")
+_CRITERION_PATTERN = re.compile(r"(?P<what>[a-z-]+)(?:\((?P<argument>[^()]*)\))?<(?P<below>.+)")
 
 _LIMIT_PATTERN = re.compile(r"(?P<name>max_seconds|patience)=(?P<value>.+)")
 
@@ -41,45 +41,52 @@ class StopRule:
 class StopCriterion(StopRule):
     """Upper bound on a quantity of a `CriticalSet`.
 
-    `size` is the smallest region that counts, as a fraction of the space. Raises `InputError` if `bound` or `size` is
-    not a fraction.
+    `size` is the smallest region that counts, as a fraction of the space. `confidence` is the probability with which
+    less than `bound` is missed. Raises `InputError` if one of them is not a fraction.
     """
 
     quantity: str
     bound: float
     size: float = MIN_REGION_FRACTION
+    confidence: float = DEFAULT_CONFIDENCE
 
     def __post_init__(self) -> None:
-        for name in ("bound", "size"):
+        for name in ("bound", "size", "confidence"):
             object.__setattr__(self, name, _check_fraction(getattr(self, name), f"`{name}`:"))
 
     @classmethod
     def parse(cls, text: str) -> StopCriterion:
-        """Parse a criterion such as ``missed<0.01`` or ``overlooked(0.02)<0.05``."""
+        """Parse a criterion such as ``missed<0.01``, ``missed(0.7)<0.01`` or ``overlooked(0.02)<0.05``."""
         match = _CRITERION_PATTERN.fullmatch(text.replace(" ", ""))
         if match is None or match["what"] not in _QUANTITIES:
             raise InputError(
-                f"`stop_when` {text}: write it as missed<0.01, interval<0.05, overlooked(0.01)<0.05,"
+                f"`stop_when` {text}: write it as missed<0.01, missed(0.7)<0.01, interval<0.05, overlooked(0.01)<0.05,"
                 " unvisited(0.01)<0.05, audited-missed<0.1, max_seconds=60 or patience=5, in quotes."
             )
-        if match["size"] is not None and match["what"] not in _SIZED_QUANTITIES:
-            raise InputError(f"`stop_when` {text}: only overlooked and unvisited accept a size.")
-        named = f"`stop_when` {text}:"
-        size = _check_fraction(match["size"], named) if match["size"] else MIN_REGION_FRACTION
-        return cls(match["what"], _check_fraction(match["below"], named), size)
+        named, argument = f"`stop_when` {text}:", {}
+        if match["argument"] is not None:
+            if match["what"] not in ("missed", *_SIZED_QUANTITIES):
+                raise InputError(f"{named} only missed accepts a probability, and overlooked and unvisited a size.")
+            name = "confidence" if match["what"] == "missed" else "size"
+            argument = {name: _check_fraction(match["argument"], named)} if match["argument"] else {}
+        return cls(match["what"], _check_fraction(match["below"], named), **argument)
 
     def __str__(self) -> str:
-        size = f"({self.size})" if self.quantity in _SIZED_QUANTITIES else ""
-        return f"{self.quantity}{size}<{self.bound}"
+        argument = f"({self.size})" if self.quantity in _SIZED_QUANTITIES else ""
+        if self.confidence != DEFAULT_CONFIDENCE:
+            argument = f"({self.confidence})"
+        return f"{self.quantity}{argument}<{self.bound}"
 
     def __repr__(self) -> str:
-        size = "" if self.size == MIN_REGION_FRACTION else f", size={self.size}"
-        return f"{self.quantity.replace('-', '_')}({self.bound}{size})"
+        argument = "" if self.size == MIN_REGION_FRACTION else f", size={self.size}"
+        if self.confidence != DEFAULT_CONFIDENCE:
+            argument = f", confidence={self.confidence}"
+        return f"{self.quantity.replace('-', '_')}({self.bound}{argument})"
 
     def evaluate(self, critical_set: CriticalSet) -> float:
         """Value of the quantity, from 0 to 1; 1 if the value is unknown."""
         if self.quantity == "missed":
-            return critical_set.missed_upper_bound
+            return critical_set.missed_upper_bound(self.confidence)
         if self.quantity == "audited-missed":
             return critical_set.audited_missed_upper_bound
         if self.quantity == "interval":
@@ -97,7 +104,10 @@ class StopCriterion(StopRule):
     def describe_value(self, value: float) -> str:
         """Describe the value that was reached."""
         if self.quantity == "missed":
-            return f"at most {value:.2%} of the critical set is missed"
+            probability = (
+                "" if self.confidence == DEFAULT_CONFIDENCE else f"with a probability of {self.confidence:g}, "
+            )
+            return f"{probability}at most {value:.2%} of the critical set is missed"
         if self.quantity == "audited-missed":
             return f"according to the audits, at most {value:.2%} of the critical set is missed"
         if self.quantity == "interval":
@@ -136,14 +146,17 @@ class NoImprovement(StopRule):
         return f"no_improvement(rounds={self.rounds})"
 
 
-def missed(bound: float) -> StopRule:
+def missed(bound: float, confidence: float = DEFAULT_CONFIDENCE) -> StopRule:
     """Stop when less than a fraction of the critical set is missed.
 
     Parameters
     ----------
     bound : float
-        Above 0, up to 1. It is compared with the fraction of the critical set that is missed at most, with a
-        probability of 95 %; that may include one region to which no score points.
+        Above 0, up to 1. It is compared with the fraction of the critical set that is missed at most, which may include
+        one region to which no score points.
+    confidence : float, default 0.95
+        Probability with which at most that is missed, above 0 and up to 1. A lower one ends a search earlier, and more
+        often too early.
 
     Returns
     -------
@@ -152,15 +165,17 @@ def missed(bound: float) -> StopRule:
     Raises
     ------
     InputError
-        `bound` is no fraction.
+        `bound` or `confidence` is no fraction.
 
     Examples
     --------
     >>> from cornercase import stop
     >>> stop.missed(0.05)
     missed(0.05)
+    >>> str(stop.missed(0.05, confidence=0.7))
+    'missed(0.7)<0.05'
     """
-    return StopCriterion("missed", bound)
+    return StopCriterion("missed", bound, confidence=confidence)
 
 
 def interval(bound: float) -> StopRule:

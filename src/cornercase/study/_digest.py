@@ -19,7 +19,7 @@ import numpy.typing as npt
 from cornercase._common.errors import InputError
 from cornercase._common.text.sanitize import parse_json
 from cornercase._common.typing import Float32Array, FloatArray, IntArray
-from cornercase.metrics import Metric, registered_features
+from cornercase.metrics import Metric, compute_features, registered_features
 from cornercase.metrics._outcome import Conflict, Culprit, Encounter, Fault, Impact, Outcome
 from cornercase.recordings import Collision, Recording
 from cornercase.recordings._entity_series import bearing_series, position_series
@@ -211,10 +211,17 @@ def find_bounds(recording: Recording) -> Bounds | None:
     return x_min, y_min, x_max, y_max
 
 
-def encode_digest(digest: ScenarioDigest, features: FloatArray | None = None) -> tuple[str, bytes]:
+def measure_registered_features(recording: Recording, meta: StudyMeta) -> FloatArray:
+    """Registered features of a recording, shape (f,)."""
+    entities = recording.with_absent_entities((meta.ego, *meta.others))
+    features: FloatArray = compute_features([entities], meta.ego, meta.others)[0]
+    return features
+
+
+def encode_digest(digest: ScenarioDigest, features: FloatArray) -> tuple[str, bytes]:
     """Encode a digest as facts in JSON and packed arrays.
 
-    `features`, shape (f,), are the registered ones, if the search learns from them.
+    `features`, shape (f,), are the registered ones.
     """
     facts = {
         "instants": digest.n_instants,
@@ -233,9 +240,9 @@ def encode_digest(digest: ScenarioDigest, features: FloatArray | None = None) ->
         "courses": digest.courses,
         "lines": digest.lines,
         "rounded": np.frombuffer(digest.rounded, np.uint8),
+        "features": features,
+        "features_checksum": registered_features_checksum(),
     }
-    if features is not None:
-        arrays |= {"features": features, "features_checksum": registered_features_checksum()}
     packed = pack_arrays(arrays, compress=False)
     return json.dumps(facts, separators=(",", ":")), packed
 

@@ -20,7 +20,7 @@ from cornercase._common.typing import BoolArray, FloatArray
 from cornercase._common.validation import check_float, check_int
 from cornercase.drivers._description import format_driver
 from cornercase.drivers.references.r157._preventability import ReferenceOutcome
-from cornercase.metrics import Metric, compute_features
+from cornercase.metrics import Metric, registered_features
 from cornercase.metrics._outcome import Impact
 from cornercase.recordings import Collision, Recording, write_osi
 from cornercase.recordings._rounded import encode_rounded
@@ -43,6 +43,7 @@ from cornercase.study._digest import (
     decode_features,
     decode_impacts,
     decode_rounded,
+    measure_registered_features,
     registered_features_checksum,
 )
 from cornercase.study._meta import StudyMeta, hash_points_and_scores
@@ -766,33 +767,17 @@ class StudyFile:
             A scenario has not run, or a group of features of another package fails.
         """
         checksum = registered_features_checksum()
-        rows = [self._scenario_features(scenario, checksum) for scenario in scenarios]
-        return np.concatenate(rows or [compute_features([], self.meta.ego, self.meta.others)])
+        features = np.full((len(scenarios), len(registered_features())), np.nan)
+        for row, scenario in zip(features, scenarios, strict=True):
+            if scenario is not None:
+                row[:] = self._scenario_features(scenario, checksum)
+        return features
 
-    def _scenario_features(self, scenario: int | None, checksum: int) -> FloatArray:
-        """Features of one scenario, shape (1, f)."""
-        if scenario is not None:
-            with reraise_as_damage(self.path):
-                stored = decode_features(self._read_digest(scenario)[1], checksum)
-            if stored is not None:
-                return stored[None]
-        recording = None if scenario is None else self.recording(scenario)
-        return compute_features([recording], self.meta.ego, self.meta.others)
-
-    def has_features(self, scenario: int) -> bool:
-        """Whether the registered features of a scenario are stored.
-
-        Parameters
-        ----------
-        scenario : int
-            Id of a scenario that has run.
-
-        Returns
-        -------
-        bool
-        """
+    def _scenario_features(self, scenario: int, checksum: int) -> FloatArray:
+        """Features of one scenario, shape (f,)."""
         with reraise_as_damage(self.path):
-            return decode_features(self._read_digest(scenario)[1], registered_features_checksum()) is not None
+            stored = decode_features(self._read_digest(scenario)[1], checksum)
+        return measure_registered_features(self.recording(scenario), self.meta) if stored is None else stored
 
     def metrics(self) -> tuple[Metric, ...]:
         """Metrics of the study.

@@ -14,7 +14,6 @@ from cornercase._common.errors import InputError, SimulationError
 from cornercase._common.text.sanitize import remove_folders
 from cornercase._common.typing import FloatArray
 from cornercase.drivers.references.r157._preventability import ReferenceOutcome
-from cornercase.metrics import compute_features
 from cornercase.metrics._measure import MetricResult
 from cornercase.recordings import Recording
 from cornercase.scenario import Value
@@ -22,7 +21,13 @@ from cornercase.study._arrays import write_arrays
 from cornercase.study._checksums import delete_rows, insert_rows
 from cornercase.study._codec import pack_arrays, pack_recording
 from cornercase.study._database import Database
-from cornercase.study._digest import N_STRIDE_RECORDINGS, downsampling_stride, encode_digest, make_digest
+from cornercase.study._digest import (
+    N_STRIDE_RECORDINGS,
+    downsampling_stride,
+    encode_digest,
+    make_digest,
+    measure_registered_features,
+)
 from cornercase.study._meta import StudyMeta
 from cornercase.study._reference_outcomes import write_reference_outcomes
 from cornercase.study._scenario_table import ScenarioRecord
@@ -144,15 +149,12 @@ class StudyWriter:
         courses: Mapping[str, tuple[FloatArray, float] | MetricResult],
         repeats: Mapping[str, Sequence[float]] | None = None,
         references: Mapping[str, ReferenceOutcome] | None = None,
-        *,
-        with_features: bool = False,
     ) -> None:
         """Store the result of a scenario: its recording, and the course and score of each metric.
 
         If the scenario was run several times, `repeats` has the scores of all runs, by metric. `references` has the
         outcomes with reference drivers driving the ego, by driver. If the study has several other entities, `courses`
-        must be `MetricResult` objects, which say which entity counts. `with_features` also stores the registered
-        features, for a search that learns from them.
+        must be `MetricResult` objects, which say which entity counts.
         """
         with self._database.transaction() as connection:
             write_reference_outcomes(connection, scenario, references or {})
@@ -171,17 +173,16 @@ class StudyWriter:
                 insert_rows(connection, "against", sources)
             self._end_scenario(connection, scenario, "done", None, pack_recording(recording))
             plain_courses = {name: result[0] for name, result in courses.items()}
-            self._save_digest(connection, scenario, recording, plain_courses, with_features)
+            self._save_digest(connection, scenario, recording, plain_courses)
 
     def save_missing_digests(self) -> None:
         """Compute missing digests again from recordings and courses, and store them; used to repair a damaged study."""
         with self._database.transaction() as connection:
             stored = {scenario for (scenario,) in self._database.query("SELECT scenario FROM digests")}
-            with_features = bool(stored) and self._study.has_features(min(stored))
             for row in self._study.finished_rows():
                 if row.id not in stored:
                     courses = {name: self._study.course(row.id, name) for name in self._study.meta.metrics}
-                    self._save_digest(connection, row.id, self._study.recording(row.id), courses, with_features)
+                    self._save_digest(connection, row.id, self._study.recording(row.id), courses)
 
     def _save_digest(
         self,
@@ -189,14 +190,14 @@ class StudyWriter:
         scenario: int,
         recording: Recording,
         courses: Mapping[str, FloatArray],
-        with_features: bool,
     ) -> None:
         meta = self._study.meta
         lengths = [*self._study.lengths_of_first_recordings(scenario), len(recording.time)]
         stride = downsampling_stride(lengths[:N_STRIDE_RECORDINGS])
         digest = make_digest(recording, courses, meta, stride, self._study.metrics())
-        features = compute_features([recording], meta.ego, meta.others)[0] if with_features else None
-        insert_rows(connection, "digests", [(scenario, *encode_digest(digest, features))])
+        insert_rows(
+            connection, "digests", [(scenario, *encode_digest(digest, measure_registered_features(recording, meta)))]
+        )
 
     def save_reference_outcome(self, scenario: int, driver: str, outcome: ReferenceOutcome) -> None:
         """Store the outcome of a scenario that was run again with a reference driver driving the ego."""
