@@ -100,14 +100,15 @@ def _render_critical_set(critical: CriticalEstimates, criterion: str, n_run: int
     if estimates.missed_interval_unavailable is not None:
         prefix = "the share and of " if estimates.interval_unavailable is not None else ""
         yield f"<p>There is no interval of {prefix}what is missed: {escape(estimates.missed_interval_unavailable)}.</p>"
-    model = "a Gaussian process of the scores"
+    model, record = "a Gaussian process of the scores", "the scenarios of the filling"
     if estimates.by_committee:
         model = (
             f"a committee of trees that learn from what happened in the runs, a forest of the parameters and {model}"
         )
+        record += " and those that the search chose"
     yield (
         f"<p>The share, what is missed and what is overlooked come from {model}. They are corrected by how well it"
-        " predicts the scenarios of the filling, each from all others, and by the audits. The other rows need no"
+        f" predicts {record}, each from others, and by the audits. The other rows need no"
         " model.</p>"
     )
 

@@ -315,7 +315,7 @@ def _answer_missed(data: ReportData, critical: CriticalEstimates) -> Answer:
         )
     if estimates is not None and critical.n_critical and not estimates.is_exhausted:
         sentences.append(
-            "That relies on a model of the scores. Without a model: a region in which nothing was run could hide"
+            "That relies on a model. Without one: a region in which nothing was run could hide"
             f" {format_percent(estimates.max_fraction_in_empty_region)} of the critical set."
         )
     if critical.audits is not None:
