@@ -27,10 +27,12 @@ from cornercase.study._codec import pack_arrays, unpack_arrays
 from cornercase.study._digest import (
     decode_digest,
     decode_facts,
+    decode_features,
     downsample,
     encode_digest,
     make_digest,
     measure_registered_features,
+    registered_features_checksum,
 )
 from helpers.synthetic_study import SPACE, about, explorer
 
@@ -204,6 +206,19 @@ def test_a_digest_that_does_not_fit_the_study_is_refused():
         decode_digest(decode_facts(facts) | {"endings": []}, packed, meta)
     with pytest.raises(ValueError, match="series"):
         decode_digest(decode_facts(facts), packed, replace(meta, other=("B", "C")))
+
+
+def test_stored_features_are_one_finite_number_each():
+    recording, meta = crossing(90), about(SPACE, "distance")
+    digest, features = make_digest(recording, {}, meta, 1), measure_registered_features(recording, meta)
+    checksum = registered_features_checksum()
+    stored = decode_features(encode_digest(digest, features)[1], checksum)
+    assert stored is not None
+    assert stored.tolist() == features.tolist()
+    assert decode_features(encode_digest(digest, features)[1], checksum + 1) is None
+    for damaged in (features[:-1], np.full_like(features, np.nan)):
+        with pytest.raises(ValueError, match="features"):
+            decode_features(encode_digest(digest, damaged)[1], checksum)
 
 
 @pytest.mark.parametrize("compress", [True, False])

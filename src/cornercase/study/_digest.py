@@ -364,12 +364,18 @@ def decode_rounded(arrays: Mapping[str, npt.NDArray[Any]]) -> bytes:
 
 
 def decode_features(packed: bytes, checksum: int) -> FloatArray | None:
-    """Return the features among the arrays of a digest, shape (f,); None if it has none with this checksum."""
+    """Return the features among the arrays of a digest, shape (f,); None if it has none with this checksum.
+
+    `ValueError` if they are not one finite number each.
+    """
     arrays = unpack_arrays(packed, names=("features", "features_checksum"))
     if not arrays or int(arrays["features_checksum"]) != checksum:
         return None
     features: FloatArray = arrays["features"]
-    require_value(features.ndim == 1 and features.dtype == np.float64, "a digest's features")
+    require_value(
+        features.shape == (len(registered_features()),) and features.dtype == np.float64, "a digest's features"
+    )
+    require_value(bool(np.isfinite(features).all()), "a digest's features")
     return features
 
 
