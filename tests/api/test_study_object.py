@@ -167,7 +167,9 @@ def test_an_export_is_imported_again(explored, tmp_path):
     imported = cc.Study.open(tmp_path / "imported.db")
     same = ["ego_start", "pedestrian_wait", "p1_speed", "wttc", "critical", "collision"]
     pd.testing.assert_frame_equal(imported.table()[same], explored.table()[same])
-    with pytest.raises(cc.InputError, match=r"imported recordings, .* so it has no problem; `summary` says what"):
+    with pytest.raises(
+        cc.InputError, match=r"imported recordings, .* so there is no search problem; `summary` says what"
+    ):
         _ = imported.problem
     for folder, table, says in (
         ("tables/recordings", None, f"name the folder above, {tmp_path / 'tables'}, which has one"),

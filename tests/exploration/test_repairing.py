@@ -285,7 +285,7 @@ def test_a_repair_runs_no_driver_that_only_the_condition_of_a_study_names(tmp_pa
     before = study.read_bytes()
     result = cornercase("verify", study, "--repair", "--scenario", X)
     assert result.returncode == 2
-    assert "its condition names the driver 'named_only:Reference'" in result.stderr
+    assert "its critical condition uses the driver 'named_only:Reference'" in result.stderr
     assert not (tmp_path / "was-run").exists()
     assert "named_only" not in sys.modules
     assert study.read_bytes() == before

@@ -18,7 +18,7 @@ def describe_install(extra: str) -> str:
 
 
 def is_empty_extra(extra: str) -> bool:
-    """Tell whether no package of an extra is for this Python and machine; False if that is unknown."""
+    """Tell whether an extra installs no package on this Python and machine; False if that is unknown."""
     # Imported here: most commands need no extra.
     from importlib.metadata import PackageNotFoundError, requires
 

@@ -1,4 +1,4 @@
-"""The command group, whose help lists the commands by what they are for."""
+"""Command group whose help lists the commands by purpose."""
 
 from __future__ import annotations
 

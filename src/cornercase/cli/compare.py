@@ -46,8 +46,8 @@ def compare(
     """Say whether a new version of a system is better or worse, and what changed, from a study of each version.
 
     It compares scenarios with the same parameters one by one. To get such pairs, explore both versions with the same
-    seed. A new collision, a requirement that newly fails, a scenario that can no longer be run or is newly critical,
-    and a score that is more critical by more than its tolerance are worse.
+    seed. The new version is worse where it has a new collision, a requirement newly fails, a scenario can no longer be
+    run or is newly critical, or a score is more critical by more than its tolerance.
 
     Exit code 0: nothing is worse; 1: something is worse, even if something else is better; 2: nothing can be said,
     or bad input.

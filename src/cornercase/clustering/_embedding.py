@@ -119,9 +119,10 @@ class EmbeddedDistances:
         return squares
 
     def distances_to_nearest_per_choice(self, row_choices: IntArray, columns: IntArray | None = None) -> FloatArray:
-        """Return the distance of columns, by default all, to the nearest row in each choice of rows.
+        """Return, for each choice of rows, the distance from each column to the nearest chosen row.
 
-        The result has the shape (draws, columns).
+        `row_choices`, shape (choices, rows), has the indices of the rows in each choice. `columns` are indices of
+        columns, by default all. The result has the shape (choices, columns).
         """
         n = len(self)
         columns = np.arange(len(self._columns)) if columns is None else columns

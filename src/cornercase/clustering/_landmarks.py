@@ -1,7 +1,8 @@
 """Clustering of very many scenarios by landmarks; time and memory do not grow with the square of their number.
 
 Landmarks, some random scenarios, are compared with each other and clustered. The other scenarios are compared only
-with a few landmarks, the anchors, from which their distances to all landmarks follow. They join the clusters.
+with a few landmarks, the anchors. From these distances, their distances to all landmarks are computed. Finally, they
+join the clusters of the landmarks.
 """
 
 from __future__ import annotations

@@ -143,7 +143,7 @@ def _sampled_distances(study: StudyFile, analysis: Analysis) -> tuple[FloatArray
 
 
 class _Cells:
-    """The cells of the map: the clusters for single settings, and their scores by name."""
+    """Cells of the map: for each, the clusters found with one setting, and the scores of these clusters by name."""
 
     def __init__(self, scaled: FloatArray, observed: Observed, share: float) -> None:
         self._observed, self._share = observed, share

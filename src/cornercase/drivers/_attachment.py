@@ -66,8 +66,8 @@ class DriverError(Exception):
 class Decision:
     """What an attached driver does in one time step, for N scenarios.
 
-    `motion` is that at the end of the step; where the entity is not steered, only its speed counts. `failures` are by
-    scenario, which end.
+    `motion` is the motion at the end of the step; where the entity is not steered, only its speed counts. `failures`
+    has the errors of the scenarios that end because the driver failed, by index of the scenario.
     """
 
     motion: DrivenMotion
@@ -237,7 +237,7 @@ class Attachment:
         )
 
     def _decide(self, situation: Situation) -> Controls:
-        """Call the sensors and the driver, which may be user code, and check what it returns."""
+        """Call the sensors and the driver, which may be user code, and check what the driver returns."""
         expected, requests = self._start.scenarios, count_requests()
         try:
             sensed = self._sensors.perceive(situation)

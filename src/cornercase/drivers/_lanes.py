@@ -23,7 +23,7 @@ class PathAlongLanes(DrivenPath):
 
 
 def driven_path(lane_path: LanePath) -> PathAlongLanes:
-    """Return the path along a lane for drivers; it is cached, so that plans along it serve all batches."""
+    """Return the path along a lane for drivers; it is cached, so that all batches share the plans along it."""
     if "driven path" not in lane_path.cache:
         columns = (lane_path.distance, lane_path.x, lane_path.y, lane_path.heading, lane_path.curvature)
         lane_path.cache["driven path"] = PathAlongLanes(*columns, lane_path)

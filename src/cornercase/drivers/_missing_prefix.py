@@ -12,7 +12,7 @@ _CLASS_FILE: Final = re.compile(r"(?P<module>[^:\s]+)\.py(:(?P<options>.+))?")
 
 
 def suggest_prefix(name: str) -> str | None:
-    """Return how to name an FMU, a class or a program, given as a file or command alone; None if it is none of them."""
+    """Say how to name the FMU, class or program whose file or command was given alone; None for other names."""
     if _FMU.fullmatch(name):
         return f"an FMU is named as 'fmu:{name}'"
     if file := _CLASS_FILE.fullmatch(name):

@@ -43,7 +43,7 @@ def _is_built_in(driver: Driver) -> bool:
 
 
 def preset_parameters(driver: str) -> dict[str, float]:
-    """Return the parameters of a preset with options; `InputError` for any other driver."""
+    """Return the parameters of a driver named by a preset, such as `normal:horizon=4`; else raise `InputError`."""
     created = DRIVERS.create(driver) if is_registered_driver(driver) else None
     if not isinstance(created, CompiledDriver):
         raise InputError(

@@ -73,9 +73,9 @@ class FollowedTrajectory:
         wheelbase: float,
         response: float,
     ) -> tuple[float, float]:
-        """Return the acceleration and the angle of the front wheels with which a vehicle follows it.
+        """Return the acceleration in m/s² and the front wheel angle in rad with which a vehicle follows the trajectory.
 
-        `response` is the time in s by which the wheels are late.
+        `response` is the time in s by which the wheels lag behind.
         """
         if self._path is None or self._is_over(time + dt):
             return -min(FINAL_DECELERATION, speed / dt), 0.0

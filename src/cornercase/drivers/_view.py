@@ -185,7 +185,7 @@ class PathPoint(NamedTuple):
 
 
 class SharedView:
-    """What is seen in all N scenarios of a batch; computed when it is first asked for."""
+    """What the driven entity sees in the N scenarios of a batch; each quantity is computed on first use."""
 
     def __init__(self, situation: Situation, network: RoadNetwork | None = None) -> None:
         self.situation, self._network = situation, network

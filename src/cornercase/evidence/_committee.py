@@ -244,10 +244,11 @@ class CommitteeModel:
     def _train_trees(
         self, indices: IntArray, n_trees: int
     ) -> tuple[ExtraTreesRegressor | None, RandomForestRegressor | None]:
-        """Train trees on predicted features for the classes, and a forest on parameters for being critical.
+        """Train trees that map predicted features to classes, and a forest that maps parameters to criticality.
 
-        None for one without weight. Regression on indicators of the classes gives the trees of a classifier, since the
-        split with the least Gini impurity is that with the least variance of the indicators; but it takes less time.
+        A model without weight is None. The trees regress indicators of the classes, which takes less time than to
+        classify. The trees are the same, since the split with the least Gini impurity also has the least variance of
+        the indicators.
         """
         from sklearn.ensemble import ExtraTreesRegressor, RandomForestRegressor
 

@@ -359,8 +359,8 @@ class CriticalSet:
     def max_fraction_in_empty_region(self) -> float:
         """Fraction of the critical set that an unexplored region may hold, in addition to `missed_fraction`.
 
-        The region is a ball in which no scenario was run, as large as the largest that escapes with a probability of 5
-        %. The fraction depends on the location of scenarios, not on the predicted scores.
+        The region is a ball in which no scenario was run. It is so large that around 95 % of random points, the largest
+        such ball is smaller. Its volume depends on where scenarios were run, not on predicted scores.
         """
         ball = float(np.quantile(self._empty_ball_fractions, 1.0 - _ESCAPE_PROBABILITY))
         return ball / max(ball + self.critical_fraction.value, 1e-12)
@@ -377,7 +377,7 @@ class CriticalSet:
 
     @property
     def audited_missed_fraction(self) -> Estimate:
-        """Missed fraction of the critical set, estimated from the audits alone: critical audits that are not found."""
+        """Missed fraction of the critical set: the share of critical audits that are not predicted to be critical."""
         return proportion_interval(*self._missed_audits_and_total)
 
     @property

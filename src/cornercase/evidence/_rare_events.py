@@ -80,7 +80,10 @@ class ImportanceSampling:
 
     @property
     def is_plain(self) -> bool:
-        """Whether all scenarios follow the distribution of the parameters, because scores give no direction."""
+        """Whether all scenarios are drawn from the distribution of the parameters itself.
+
+        That is so if the scores take too few values to show in which direction an event lies.
+        """
         return self._is_plain
 
     def draw_round(self, max_count: int) -> FloatArray:
@@ -187,7 +190,7 @@ class ImportanceSampling:
         self._earlier.append(new)
 
     def _select_nearest_to_event(self, event: int, weights: FloatArray) -> tuple[BoolArray, bool]:
-        """Mask of the scenarios nearest to an event, for the fit, and whether enough events have occurred."""
+        """Return a mask of the scenarios nearest to an event, for the fit, and whether it occurred often enough."""
         met = self._met[:, event]
         # The worst score gives no direction towards the event; failures rank last.
         finite = np.isfinite(self._scores)

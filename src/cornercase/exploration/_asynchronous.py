@@ -181,7 +181,10 @@ class AsynchronousExplorer(ScenarioExplorer):
             self._n_without_improvement = 0 if self._incumbent.update(score[None]) else self._n_without_improvement + 1
 
     def _stop_criteria_reason(self) -> str | None:
-        """Return which stop criteria hold; they are checked as rarely as in a search with rounds."""
+        """Return a description if all stop criteria hold, else None.
+
+        They are checked once per batch of results, as in a search with rounds.
+        """
         rounds = self._n_results // self._config.batch
         if rounds == self._rounds_checked:
             return None

@@ -192,7 +192,7 @@ class ExplorationConfig(ExplorationOptions):
 
     @property
     def stop_criteria(self) -> tuple[StopCriterion, ...]:
-        """The criteria of `stop_when`, which hold nothing else since they were checked."""
+        """The criteria in `stop_when`, which was checked to contain nothing else."""
         return cast(tuple[StopCriterion, ...], self.stop_when)
 
     @cached_property

@@ -141,12 +141,12 @@ def _condition_text(expression: Expression) -> str:
 
 
 def problem_from_study(study: StudyFile, scenario: Path | None) -> Problem:
-    """Return the problem that was searched; no code of the user is needed. `scenario` is the explored file."""
+    """Return the search problem of a study, without the user's own code; `scenario` is the explored file."""
     meta = study.meta
     if meta.simulator == IMPORTED_SIMULATOR:
         raise InputError(
-            f"{study.path}: contains imported recordings, which no scenario file made, so it has no problem; `summary`"
-            " says what was measured."
+            f"{study.path}: contains imported recordings, which no scenario file made, so there is no search problem;"
+            " `summary` says what was measured."
         )
     return Problem(
         read_logical_scenario(study, scenario),

@@ -279,8 +279,8 @@ def _rerun_lost_scenarios(
         for name in () if condition is None else condition.reference_drivers:
             if not may_be_named_in_file(name):
                 raise InputError(
-                    f"{file}: its condition names the driver '{name}', but code that a study names is not run; repeat"
-                    " the command that explored it, to run the lost scenarios again."
+                    f"{file}: its critical condition uses the driver '{name}', but for safety no code that a study"
+                    " names is run; to run the lost scenarios again, repeat the command that explored the study."
                 )
         objective = config.make_objective()
         optimizer = config.start_optimizer(objective)

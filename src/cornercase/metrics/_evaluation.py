@@ -30,11 +30,12 @@ from cornercase.recordings import Collision, Recording
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """An expression evaluated in one run, from the values of its bounds and statements.
+    """An expression evaluated in one run, from the values of its bounds (``ttc < 1``) and statements (``collision``).
 
     The robustness follows Fainekos and Pappas 2009 and Donzé and Maler 2010: minimum for ``and`` and ``always``,
-    maximum for ``or`` and ``eventually``. A statement that the run does not show is assumed either in favour of the
-    expression or against it. A bound that is never defined counts as not violated.
+    maximum for ``or`` and ``eventually``. If the run does not show whether a statement holds, the caller chooses the
+    value that is assumed: the one in favour of the expression, or the one against it. A bound that is never defined
+    counts as not violated.
     """
 
     root: Node
@@ -112,9 +113,10 @@ class Evaluation:
         return None
 
     def _first_decisive_instant(self, candidates: IntArray, direction: float, leaf: Leaf) -> int | None:
-        """First decisive one of the `candidates`; None if there is none.
+        """Return the first decisive instant among the `candidates`; None if none is decisive.
 
-        An instant is decisive if a change of the margins up to this instant in `direction` changes the robustness.
+        An instant is decisive if the robustness changes when the leaf's margins at the candidates up to this instant
+        change in `direction`.
         """
         before, values = self.robustness()[0], self.leaves[leaf]
 

@@ -167,7 +167,10 @@ class Approach(FeatureGroup):
 
 
 class EgoBraking(FeatureGroup):
-    """State when the ego first brakes with nine tenths of its strongest deceleration; without braking, at the end."""
+    """State when the ego first brakes with nine tenths of its strongest deceleration.
+
+    If the ego never brakes, this is the state at the end.
+    """
 
     name = "braking"
     features = (Feature("braking-way", "m"), Feature("braking-speed", "m/s"))

@@ -83,12 +83,13 @@ class Pttc(Metric):
     """Potential time to collision: the entity ahead keeps its acceleration until it stands, the ego its speed.
 
     The smallest t >= 0 in s with ``gap = (v - v_other) t - a_other t² / 2``. An entity that brakes stays where it
-    stops. The value is 0 if the boxes touch, and inf if the ego never reaches the other entity. If that drives at
-    constant speed, the value is the time to collision. If it stands, it is an obstacle. Not defined if the other entity
-    is not ahead of the ego, or one of the two does not exist. Least critical value (cap): 10 s.
+    stops. The value is 0 if the boxes touch, and inf if the ego never reaches the other entity. If the other entity
+    drives at constant speed, the value is the time to collision; if it stands, it is an obstacle. Not defined if the
+    other entity is not ahead of the ego, or one of the two does not exist. Least critical value (cap): 10 s.
 
     Source: H. Wakabayashi et al., "Traffic conflict analysis using vehicle tracking system/digital VCR and proposal of
-    a new conflict indicator", Infrastructure Planning Review 20 (2003); the leader does not reverse by braking.
+    a new conflict indicator", Infrastructure Planning Review 20 (2003). Here, a braking leader stops, and does not
+    reverse.
 
     Examples
     --------

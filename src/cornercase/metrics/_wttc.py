@@ -105,12 +105,14 @@ def earliest_circle_contact(
 
     `position` and `velocity`, shape (..., 2), are those of one circle relative to the other. `radius` is the sum of
     both radii in m, `acceleration` the sum of both greatest accelerations in m/s²; with 0 the result is the time to
-    collision of the circles. It is 0 if the circles touch now, inf if they never do, and NaN if an input is NaN.
+    collision of the circles. The result is 0 if the circles touch now, inf if they never do, and NaN if an input is
+    NaN.
 
-    Squared, the equation is a quartic h(t) = 0 without a cubic term. For t >= 0 it is concave up to one inflection and
-    convex from there on. Newton's method finds the only maximum from the left. A root in the concave part lies before
-    this maximum; from there Newton's method reaches the root without overshooting, even if two roots coincide. If the
-    maximum is below 0, the only root lies in the convex part, and Newton's method reaches it from a bound on the right.
+    The squared equation is h(t) = (radius + acceleration t² / 2)² - |position + velocity t|² = 0, a quartic without a
+    cubic term. For t >= 0, h is concave before its only inflection and convex after it. Newton's method finds the only
+    maximum of h from the left. If h reaches 0 there, the first root is not later than the maximum, and Newton's method
+    reaches this root from the left without overshooting, even if two roots coincide. If the maximum is below 0, the
+    only root lies in the convex part, and Newton's method reaches it from a bound on the right.
     """
     radius, growth = np.asarray(radius, dtype=np.float64), np.asarray(acceleration, dtype=np.float64)
     position, velocity = np.asarray(position, dtype=np.float64), np.asarray(velocity, dtype=np.float64)

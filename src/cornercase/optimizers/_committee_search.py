@@ -189,7 +189,7 @@ def committee_acquisition(p_critical: FloatArray, p_likeliest_branch: FloatArray
 
 
 def _criterion_between_scores(scores: FloatArray, criterion: Criterion) -> Criterion:
-    """Return the criterion if scores lie on both sides of it; otherwise the nearest one for which they do."""
+    """Return the criterion if there are scores on both sides of it, else the nearest criterion that has some."""
     lowest, below_highest = np.unique(scores)[[0, -2]]
     return Criterion(float(min(max(criterion.oriented, lowest), below_highest)))
 

@@ -90,10 +90,10 @@ def evaluate_coverage(
     held_out: Mapping[str, HeldOutDistances | None],
     nearest_distances: Mapping[str, NearestDistances] | None = None,
 ) -> dict[str, Coverage]:
-    """Measure how well the selected scenarios, given by id, represent all scenarios, by aspect.
+    """Measure, for each aspect, how well the selected scenarios represent all scenarios.
 
-    `nearest_distances` saves computing the distances again. An aspect is left out if no selected scenario was analysed
-    by it.
+    `selected` are ids. `held_out` is the result of `measure_folds`. Given `nearest_distances`, the distances to the
+    selected scenarios are not computed again. The result lacks aspects by which no selected scenario was analysed.
     """
     coverage = {}
     for name, analysis in data.analyses.items():

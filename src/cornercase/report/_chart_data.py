@@ -61,8 +61,8 @@ def sensitivity_chart(data: ReportData) -> dict[str, Any] | None:
 def coverage_charts(data: ReportData) -> dict[str, Any]:
     """Return, by aspect, the percentage of scenarios within a distance of the reduced set, as a function of distance.
 
-    Three curves serve for comparison: k-medoids, the range of 90 of 100 random choices, and the critical scenarios
-    alone.
+    Curves for comparison show k-medoids, the range that contains 90 of 100 random selections, and the critical
+    scenarios alone.
     """
     charts = {}
     for name, curves in data.coverage_curves.items():

@@ -519,7 +519,7 @@ def _require_same_driver_files(stored_settings: Mapping[str, Any], new_settings:
 
 
 def _describe_setting_differences(stored_settings: Mapping[str, Any], new_settings: Mapping[str, Any]) -> str:
-    """Describe which settings differ; short values are included."""
+    """List the settings that differ, with both values; long values are shortened."""
     texts = []
     for name in sorted({*stored_settings, *new_settings}):
         if name == _DRIVERS_KEY:

@@ -47,7 +47,7 @@ def write_table(folder: Path, table: pd.DataFrame, parquet: bool = False) -> Non
 
 
 def write_parameters(folder: Path, values: Mapping[int, Mapping[str, Value]], names: Sequence[str]) -> None:
-    """Write `parameters.csv`, by which `import_recordings` finds the recordings: file and parameters by scenario."""
+    """Write `parameters.csv` for `import_recordings`: the recording file and the parameters of each scenario."""
     with atomic_write(folder / PARAMETER_TABLE) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow([FILE_COLUMN, *map(escape_csv_cell, names)])

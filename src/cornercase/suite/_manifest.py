@@ -196,7 +196,7 @@ def declarations_by_name(scenario: ScenarioFile) -> dict[str, ParameterDeclarati
 
 
 def as_declared(value: Value, declaration: ParameterDeclaration) -> Value:
-    """Return a value in the type of its declaration; as text if it has another one."""
+    """Convert a value to the type in its declaration, or to text if it cannot have this type."""
     try:
         return convert_to_type(value, declaration.type_name)
     except ValueError:

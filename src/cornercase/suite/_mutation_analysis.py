@@ -174,7 +174,10 @@ def draw_mutants(
     count: int,
     seed: int,
 ) -> tuple[str, tuple[Mutant, ...]]:
-    """Return the ego's driver in a suite, where `drivers` override those in the files, and mutants of it."""
+    """Return the ego's driver in a suite, and `count` mutants of this driver.
+
+    `drivers`, by entity, override the drivers in the scenario files.
+    """
     _require_no_reference(requirements)
     _require_fixed_driver(ego, [scenario.concrete_scenario for scenario in suite.runnable_scenarios])
     driver = find_ego_driver(ego, drivers, [scenario.scenario for scenario in suite.runnable_scenarios])

@@ -243,7 +243,7 @@ def _resample(time: FloatArray, values: FloatArray, at: FloatArray) -> FloatArra
 
 
 def _largest(values: FloatArray) -> float:
-    """Return the largest value; infinite if there is none, or one that is not a number."""
+    """Return the largest value; infinite if there are no values, or one of them is not finite."""
     return float(values.max()) if values.size and np.isfinite(values).all() else np.inf
 
 

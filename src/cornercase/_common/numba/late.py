@@ -18,9 +18,9 @@ from cornercase._common.typing import IntArray
 
 
 class LateKernels:
-    """Kernels with the same types of arguments, by number; see `pointers.call_for_int` and so on.
+    """Numbered kernels that take the same types of arguments; `pointers.call_for_int` and so on call them.
 
-    `addresses` has their addresses, 0 for one that is not compiled yet.
+    `addresses[number]` is the address of a kernel, or 0 while it is not compiled.
     """
 
     def __init__(self, kernels: dict[int, Callable[..., Any]], result: Any) -> None:

@@ -100,7 +100,7 @@ def _find_prevailing_regions(columns: FloatArray, is_member: BoolArray) -> list[
 
 
 def _cross_validated_regions(columns: FloatArray, is_member: BoolArray, regions: Sequence[_Region]) -> IntArray:
-    """For each scenario, the part in which it lies by the rules of the other folds, shape (n,); -1 for none."""
+    """Index of each scenario's region by rules learned from the other folds, shape (n,); -1 outside all regions."""
     judged = np.full(len(is_member), -1)
     fold = _stratified_folds(is_member)
     for k in range(int(fold.max()) + 1):

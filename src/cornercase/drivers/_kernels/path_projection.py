@@ -30,10 +30,11 @@ _NEAR_GUESS: Final = 2
 def project_onto_path(
     path: DrivenPath, own_distance: FloatArray, x: FloatArray, y: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
-    """Return where points (N, A) are along a path: distance along it, offset to the left, its direction, (N, A) each.
+    """Project points onto a path: return distance along the path, offset to the left, and the path's direction there.
 
-    The last array tells which points are next to it from 100 m behind to 300 m ahead of `own_distance` (N,); others are
-    projected onto the straight line beyond the nearest end. NaN for points that are NaN.
+    All arrays except `own_distance` (N,) have the shape (N, A). The fourth array tells which points are next to the
+    part of the path from 100 m behind to 300 m ahead of `own_distance`; other points are projected onto the straight
+    line beyond the nearer end of this part. Results are NaN for points that are NaN.
     """
     shape = np.shape(x)
     along, offset, direction = np.empty(shape), np.empty(shape), np.empty(shape)
@@ -77,10 +78,11 @@ def interpolate_on_path(distance, values, at):
 
 @kernel(error_model="numpy", _nrt=False)
 def project_point(distance, path_x, path_y, heading, max_chord, own_distance, x, y):
-    """Return where a point is along a path: distance along it, offset to the left, its direction, whether next to it.
+    """Project a point onto a path: return distance along the path, offset to the left, and the path's direction there.
 
-    It is searched from 100 m behind to 300 m ahead of `own_distance`. A point that is not next to the path there is
-    projected onto the straight line beyond the nearer end. `max_chord` is the largest distance of two samples in m.
+    The fourth result tells whether the point is next to the part of the path from 100 m behind to 300 m ahead of
+    `own_distance`; otherwise the point is projected onto the straight line beyond the nearer end of this part.
+    `max_chord` is the largest distance in m between consecutive samples.
     """
     if not (math.isfinite(x) and math.isfinite(y)):
         return math.nan, math.nan, math.nan, False

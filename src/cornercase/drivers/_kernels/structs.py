@@ -38,11 +38,12 @@ HALF_LENGTH, HALF_WIDTH, CENTER_X, VULNERABLE = range(4)
 class Routes(NamedTuple):
     """Planned routes of D drivers along G tracks: Q rows with M points in all.
 
-    `row` (D, G): row of a driver's route along a track; -1 if not planned. If the route differs between scenarios, this
-    is the row of scenario 0, and the rows of the others follow. `rows` (D, G): number of these rows, 1 or N. `begin`,
-    `samples` (Q,): first point of a row, and number of its points. `measures` (Q, 3): distance between points in m, and
-    `max_spacing` and `max_turn` of `Route`. `points` (M, 6): x and y in m, cosine and sine of the heading, square of
-    the highest speed in m²/s², and number of following points on a straight line.
+    A driver's route along a track has one row if it is the same in all N scenarios, else one row per scenario, in
+    order. `row` (D, G): the first row of the route; -1 if none is planned. `rows` (D, G): number of rows of the route,
+    1 or N. `begin`, `samples` (Q,): first point of a row, and number of its points. `measures` (Q, 3): distance between
+    points in m, and `max_spacing` and `max_turn` of `Route`. `points` (M, 6): x and y in m, cosine and sine of the
+    heading, square of the highest speed in m²/s², and how many of the points after this one lie on a straight line
+    with it.
     """
 
     row: IntArray

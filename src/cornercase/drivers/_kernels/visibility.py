@@ -190,8 +190,8 @@ def update_perception(behaviour, scene, seen):
     """Update the memory and the awareness of a driver in one scenario, from the entities in sight.
 
     An entity is known once it has been seen for the reaction time. While it is out of sight, the driver assumes that it
-    goes straight at its last speed, and forgets it after the memory time. If it is seen again before, the reaction time
-    does not start again.
+    goes straight at its last speed, and forgets it after the memory time. If the driver sees it again before that, the
+    reaction time does not start again.
     """
     time, time_step, others, memory, awareness = (
         scene.time, scene.time_step, scene.others, scene.memory, scene.awareness,

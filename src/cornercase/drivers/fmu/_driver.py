@@ -150,7 +150,7 @@ class FmuDriver(DrivingFunction):
         }
 
     def describe(self) -> Sequence[str]:
-        """Return lines about what the FMU's variables are given and decide.
+        """Return lines that say what each variable of the FMU is used for.
 
         Returns
         -------
@@ -165,7 +165,7 @@ class FmuDriver(DrivingFunction):
         ]
 
     def variables(self) -> tuple[MappedVariable, ...]:
-        """Return what the FMU's variables are given and decide.
+        """Return what each variable of the FMU is used for.
 
         Returns
         -------

@@ -43,7 +43,7 @@ class MessageBuffers:
 
 
 def pass_message(instance: Instance, layout: MessageLayout, message: bytes) -> None:
-    """Tell an instance where a message is; the bytes have to be kept as long as it may read them."""
+    """Give an instance the address of a message; keep the bytes as long as the instance may read them."""
     address = ctypes.cast(ctypes.c_char_p(message), ctypes.c_void_p).value or 0 if message else 0
     kind, references = layout
     to_integer = ctypes.c_uint32 if kind == "UInt32" else ctypes.c_int32

@@ -81,7 +81,7 @@ def find_outcomes(
 
 
 class _Scene:
-    """A recording, the ego, and what several questions about them need; `speeds` in m/s, without sign and NaN."""
+    """A recording, its ego, and what is computed for both; `speeds` in m/s have no sign, and 0 instead of NaN."""
 
     def __init__(self, recording: Recording, ego: str, poses: Poses):
         self.recording, self.ego, self.poses = recording, ego, poses

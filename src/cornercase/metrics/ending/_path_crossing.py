@@ -73,7 +73,7 @@ class Crossing:
 
 
 def find_path_crossing(path: BoxPath, other_path: BoxPath) -> Crossing | None:
-    """Return the overlap of two paths that is reached first; None if there is none."""
+    """Return when two entities are in the first overlap of their paths; None if the paths do not overlap."""
     if not len(path.time) or not len(other_path.time):
         return None
     crosses, *times = find_first_crossing(

@@ -70,7 +70,7 @@ class Party:
 
     @cached_property
     def distance(self) -> FloatArray:
-        """Distance driven by each instant in m, shape (T,)."""
+        """Distance driven up to each instant in m, shape (T,)."""
         return np.append(0.0, np.cumsum(np.hypot(np.diff(self.x), np.diff(self.y))))
 
     def speed_at(self, time: float) -> float:

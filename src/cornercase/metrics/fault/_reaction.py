@@ -124,7 +124,7 @@ def find_latest_braking(party: Party, partner: Party, contact: float) -> float |
 
 
 def _instants_before(party: Party, partner: Party, contact: float) -> FloatArray:
-    """Instants before the contact in s, the latest first, at which both are known."""
+    """Return the instants in s before the contact at which both parties are recorded, the latest first."""
     begin = max(float(party.time[0]), float(partner.time[0]), contact - _LOOK_BACK)
     return contact - _STEP * np.arange(1, max(int((contact - begin) / _STEP + 1e-6), 0) + 1)
 

@@ -167,7 +167,7 @@ def _verdict(source: CardSource) -> dict[str, str]:
 
 
 def _clean_reason(text: str, length: int) -> str:
-    """Return an error as a part of a sentence, without folders, which are private."""
+    """Return an error message as part of a sentence; folders are removed, since they are private."""
     return clean(remove_folders(text), length).rstrip(".")
 
 

@@ -43,10 +43,11 @@ Trigger = tuple[str, str, str]
 
 @dataclass(frozen=True)
 class CardTexts:
-    """Texts and tables of a card before some rows are left out; parties and triggers in order of importance.
+    """Texts and tables of a card before rows are left out for lack of room; parties in order of importance.
 
-    `lines` go over the whole page, and `bold` says whether the first of them, what is known of the rounded scenario, is
-    in bold. `below_results` is a note. `trigger_ranks` says who is how important, the most important ones first.
+    `lines` span the whole page. The first line is the verdict on the rounded scenario; it is in bold if `bold`. The
+    note `below_results` stands below the results. `trigger_ranks` has the rank of each trigger's actor; a lower rank is
+    more important.
     """
 
     lines: Sequence[str]

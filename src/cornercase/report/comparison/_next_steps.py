@@ -16,7 +16,7 @@ _MAX_ON_TRACK: Final = 5
 
 
 def describe_next_steps(comparison: Comparison, new: StudyFile) -> Iterator[tuple[str, tuple[str, ...]]]:
-    """Yield questions with their answers; scenarios are in brackets."""
+    """Yield questions about a comparison with their answers, which have ids of scenarios in brackets."""
     yield "What to fix?", tuple(_describe_fixes(comparison, new))
     yield "What next?", tuple(_describe_hand_over(comparison))
     yield "What was not tested?", tuple(_describe_gaps(comparison))

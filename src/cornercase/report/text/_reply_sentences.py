@@ -12,7 +12,7 @@ _SAME_TIME: Final = 0.05
 
 
 def describe_replies(counts: ReplyCounts, ego: str, other: str) -> tuple[str, tuple[str, ...]]:
-    """Describe them in a text, and in points."""
+    """Describe the ego's reactions before collisions as a text, and alternatives to them as list items."""
     sentences = [*_describe_earlier_braking(counts, ego, other), *_describe_braking(counts, ego, other)]
     return " ".join(sentences), tuple(_describe_alternatives(counts, ego, other))
 

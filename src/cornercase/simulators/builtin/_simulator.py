@@ -200,7 +200,7 @@ class Builtin(Simulator):
         )
 
     def _run_group(self, run: _PortionRun, prepared: PreparedScenario, indices: list[int]) -> None:
-        """Run scenarios that may share a batch; a single batch has run on return, several run in other threads."""
+        """Run scenarios that may share a batch: wait for a single batch, or start several batches in other threads."""
         parts, started = self._split_by_cores(prepared, indices), list[Future[Batch]]()
         try:
             for part in parts:

@@ -317,7 +317,7 @@ def _referenced_actors(root: etree._Element, state: etree._Element) -> set[str]:
 def _plan_dependent_entities(
     root: etree._Element, parts: dict[str, list[etree._Element]], actor_plan: ActorPlan, driven: Collection[str]
 ) -> None:
-    """Plan trajectories also for entities that wait for events which trajectories replace."""
+    """Plan trajectories also for entities that wait for parts of the storyboard that trajectories have replaced."""
     waiting = {
         name: {
             actor

@@ -182,7 +182,10 @@ class AgentServer:
 
 
 def _measure_speed(last: Situation, time: float, x: float, y: float, heading: float) -> float:
-    """Return the speed along the arc from the last pose; CARLA tells that of a point that moves sideways in turns."""
+    """Return the speed along the arc from the last pose.
+
+    CARLA's own speed is that of a point that also moves sideways in turns.
+    """
     step = time - last.time
     if step <= 0.0:
         return float(last.speed[0])

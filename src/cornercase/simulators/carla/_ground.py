@@ -1,4 +1,4 @@
-"""Road files as CARLA gets them: with ground beside the roads, in a form that ScenarioRunner recognizes."""
+"""Convert road files for CARLA: add ground beside the roads, and write a form that ScenarioRunner recognizes."""
 
 from __future__ import annotations
 

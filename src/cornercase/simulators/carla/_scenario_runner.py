@@ -196,7 +196,7 @@ def _read_failure(file: Path) -> str:
 
 
 def _is_of_scenario(error: str) -> bool:
-    """Whether there is an error, and it will come again when the scenario is retried."""
+    """Return whether there is an error that would occur again if the scenario were retried."""
     is_of_server = error.startswith(_ERRORS_OF_SERVER) and any(words in error for words in _WORDS_OF_SERVER)
     return bool(error) and not is_of_server
 

@@ -92,7 +92,7 @@ def _read_entries(path: Path, max_size: int) -> dict[str, str]:
 
 
 def _decode(content: bytes) -> str:
-    """Return a text, which may be in the encoding of a machine with Latin letters."""
+    """Decode a file as UTF-8, or as Latin-1 if it is not valid UTF-8."""
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError:

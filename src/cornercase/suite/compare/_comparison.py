@@ -544,9 +544,10 @@ class Comparison:
         Returns
         -------
         DataFrame
-            One row per pair, indexed by ``old`` and ``new``, the ids in both studies. The columns are the parameters,
-            ``run`` (whether the recordings are the same), and two columns, with ``old`` and ``new`` before the name,
-            for each metric, ``outcome`` and ``critical``. Cells are empty if a run failed, or without a threshold.
+            One row per pair, indexed by ``old`` and ``new``, the ids in both studies. The columns are the parameters
+            and ``run`` (whether the recordings are the same). Each metric, ``outcome`` and ``critical`` have a column
+            for each version, such as ``old outcome`` and ``new outcome``. If a run failed, these cells are empty; those
+            of ``critical`` also without a threshold.
         """
         import pandas as pd
 

@@ -23,8 +23,9 @@ def estimate_space_change(old: StudySide, new: StudySide, pairs: tuple[ScenarioP
     """Estimate how the critical part of the space changed; None without a threshold, or if a study was not explored.
 
     An optimizer prefers critical scenarios, so its choices say nothing about fractions of the space. Only pairs from
-    initial designs and audits are counted. How many of them are critical with just one of the versions gives the
-    Clopper-Pearson interval of that part of the space. This needs no model.
+    initial designs and audits (random scenarios for assessment only) are counted. The number of pairs that are critical
+    only with the new version, or only with the old one, gives the Clopper-Pearson interval of the fraction of the space
+    that became critical, or ceased to be. This needs no model.
     """
     if not (old.is_critical and new.is_critical and old.is_explored and new.is_explored):
         return None

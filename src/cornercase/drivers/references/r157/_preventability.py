@@ -60,12 +60,12 @@ def assess_preventability(
     `run` is the recording with the reference driver, and `original` the recording with the original driver. `other` is
     the entity that the ego meets; if there are several candidates and no collision, the nearest one counts.
 
-    A reference driver of UN Regulation No. 157 is not defined for every encounter, neither with the entity that the ego
-    meets nor with the entity that the reference driver collides with. The entity must be a motorway vehicle, must not
-    come from behind (with its whole box behind the ego just before contact), and must not move in a direction more than
-    45° from the ego's within the last 3 s before they meet.
+    The reference drivers of UN Regulation No. 157 do not apply to every encounter. The entity that the ego meets, and
+    the entity that the reference driver collides with, must be motorway vehicles. They must not come from behind (with
+    the whole box behind the ego just before contact), and their directions must not differ by more than 45° from the
+    ego's within the last 3 s before they meet the ego.
 
-    For `cc-human`, an encounter ends without danger after a cut-in with a time to collision above 2 s at the intrusion.
+    If the time to collision is above 2 s when a vehicle cuts in, the encounter ends without danger for `cc-human`.
     Later collisions with that vehicle do not count (Annex 4, Appendix 3).
     """
     name = driver.partition(":")[0]

@@ -179,7 +179,7 @@ def set_speed(scene, n, e, speed):
 
 @_inlined_kernel
 def _stop_at_road_ends(scene, tracks, n, dt, activity):
-    """Stop entities at the end of their road that the last step moved neither ahead nor sideways, as in esmini."""
+    """Stop each entity that is at the end of its road and did not move in the last step, as esmini does."""
     state, flags = scene.floats[n], scene.flags[n]
     for e in range(state.shape[1]):
         if activity[e] == RESTING or not (flags[PRESENT, e] and state[AT_END_SINCE, e] < scene.time[n] + 0.5 * dt):

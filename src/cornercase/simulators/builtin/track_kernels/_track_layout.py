@@ -60,7 +60,7 @@ class TrackTable(NamedTuple):
 
 
 def alloc_track_table(n_tracks: int) -> TrackTable:
-    """Allocate the table of tracks that no entity follows."""
+    """Allocate a table for tracks that no entity follows yet."""
     n = n_tracks
     kind, size, n_curvatures, heading_interpolation = (np.zeros(n, dtype=np.int64) for _ in range(4))
     is_closed, has_times, is_uniform = (np.zeros(n, dtype=np.bool_) for _ in range(3))

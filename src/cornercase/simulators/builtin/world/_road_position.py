@@ -109,7 +109,7 @@ def _road_headings(network: RoadNetwork, road: IntArray, s: FloatArray) -> Float
 
 
 def distance_ahead_on_road(world: World, entity: int, target: Pose, default: FloatArray) -> FloatArray:
-    """Return the distance ahead to a target along the reference line in m, (N,); `default` on another road."""
+    """Return the distance ahead to a target along the reference line in m, (N,); `default` if it is on another road."""
     if world.network is None or target.road is None or target.s is None:
         return default
     own_pose = road_pose(world, entity)

@@ -228,7 +228,7 @@ class World:
             self.pulled_by[tow.trailer] = tow.vehicle
 
     def iter_followed_tracks(self, entity: int, where: BoolArray) -> Iterator[tuple[int, Track, IntArray]]:
-        """Yield each track that an entity follows in the scenarios of a mask: number, track, and its scenarios."""
+        """Yield each track that an entity follows in some scenarios of a mask: number, track, and these scenarios."""
         for number, track in enumerate(self.tracks[entity]):
             rows = np.flatnonzero(where & (self.track[entity] == number))
             if rows.size:
