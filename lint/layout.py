@@ -54,7 +54,6 @@ PUBLIC_MODULES = (
 # Names that several modules or classes have, and why.
 SHARED_STEMS: dict[str, str] = {"study": "cli has the commands, api the object"}
 SHARED_CLASSES: dict[str, str] = {
-    "Encounter": "metrics measure the motion of two entities, an outcome says how their paths met",
     "Trajectory": "a system under test plans one, a storyboard prescribes one",
     "Batch": "scenarios that the builtin simulator runs together, and what a program is told about them",
     "Control": "a program in another Python has its own, without importing cornercase",

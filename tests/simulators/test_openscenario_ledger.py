@@ -17,8 +17,8 @@ from cornercase._common.io.support_table import SupportEntry, SupportStatus
 from cornercase._common.io.tracked_xml import is_read, iter_children_untracked, requested_attributes
 from cornercase.scenario import LogicalScenario
 from cornercase.scenario._file import ScenarioFile
+from cornercase.simulators.builtin._ignored_content import read_and_collect_notices
 from cornercase.simulators.builtin._prepared_file import OPENSCENARIO_SUPPORT
-from cornercase.simulators.builtin._unsupported import read_and_collect_notices
 from helpers.command_line import cornercase
 from helpers.support_tables import gaps, page, strangers
 from helpers.xml_schemas import Schema

@@ -92,7 +92,7 @@ def test_the_change_of_the_critical_share_has_an_interval_that_holds_both_ends(t
 
 
 def test_the_interval_of_a_change_is_right_in_nine_of_ten_studies():
-    from cornercase.suite.compare._space_change import _difference
+    from cornercase.suite.compare._critical_region_change import _difference
 
     random = np.random.default_rng(3)
     held = 0

@@ -169,7 +169,7 @@ def unpickle_with_current_folder(content: bytes) -> Any:
 
 
 @contextmanager
-def _patch_spawn() -> Iterator[None]:
+def _isolate_spawned_children() -> Iterator[None]:
     from multiprocessing import spawn, util
 
     parts: tuple[Any, Any] = spawn, util
@@ -189,7 +189,7 @@ def _preparation_data(data: dict[str, Any]) -> dict[str, Any]:
     return {**without_script, "sys_path": _child_sys_path()}
 
 
-_safe_child_start: Final = _SharedContext(_patch_spawn)
+_safe_child_start: Final = _SharedContext(_isolate_spawned_children)
 
 
 def isolate_children() -> AbstractContextManager[None]:

@@ -33,7 +33,7 @@ from cornercase.exploration._problem import (
 )
 from cornercase.exploration._runs import run_settings, single_run_settings
 from cornercase.metrics._own_metrics import as_items
-from cornercase.optimizers._missing import known_optimizer
+from cornercase.optimizers._stored_optimizer import known_optimizer
 from cornercase.study import StudyFile, StudyMeta
 from cornercase.study._study_file import open_study
 

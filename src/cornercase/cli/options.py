@@ -36,7 +36,7 @@ app = typer.Typer(
 )
 
 
-class _PlainConsole(Console):
+class _EscapingConsole(Console):
     """Console that prints text as it is: markup is not interpreted, and control characters are escaped."""
 
     def render_str(self, text: str, **options: Any) -> Text:
@@ -44,8 +44,8 @@ class _PlainConsole(Console):
 
 
 _CONSOLE_SETTINGS: Final[Any] = {"soft_wrap": True, "highlight": False, "markup": False, "emoji": False}
-out = _PlainConsole(**_CONSOLE_SETTINGS)
-err = _PlainConsole(stderr=True, **_CONSOLE_SETTINGS)
+out = _EscapingConsole(**_CONSOLE_SETTINGS)
+err = _EscapingConsole(stderr=True, **_CONSOLE_SETTINGS)
 show_tracebacks: ContextVar[bool] = ContextVar("debugging", default=False)
 """Whether tracebacks are shown."""
 

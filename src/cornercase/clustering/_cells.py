@@ -71,10 +71,10 @@ def fill_squares_to_centers(point, centers, result):
 
 
 @kernel(error_model="numpy", _nrt=False)
-def fill_squares_if_nearer(point, cell, squares, result):
+def measure_cell_or_give_up(point, cell, bounds, result):
     """Write the squared distances of a point to the members of a cell to `result`.
 
-    Returns False as soon as no distance can be less than in `squares`.
+    Returns False as soon as no distance can be less than in `bounds`.
     """
     result[:] = 0.0
     for stage in range(len(point)):
@@ -85,7 +85,7 @@ def fill_squares_if_nearer(point, cell, squares, result):
                 difference = point[stage, axis] - cell[stage, axis, i]
                 total += difference * difference
             result[i] = total
-            n_nearer += total < squares[i]
+            n_nearer += total < bounds[i]
         if not n_nearer:
             return False
     return True

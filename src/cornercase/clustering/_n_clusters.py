@@ -206,8 +206,8 @@ class _ReachabilityHierarchy:
             if not (settled and small_settled):
                 of_small = of_large = 0.0
                 if len(members[small]) >= self._least and length >= self._least_gap:
-                    of_small = self._estimate_typical_neighbours(members[small], members[large], length)
-                    of_large = self._estimate_typical_neighbours(members[large], members[small], length)
+                    of_small = self._estimate_typical_members_within(members[small], members[large], length)
+                    of_large = self._estimate_typical_members_within(members[large], members[small], length)
                     strengths.append(min(of_small, of_large))
                 is_split = (small_settled or of_small >= min_strength) and of_large >= min_strength
                 if not is_split:
@@ -222,7 +222,7 @@ class _ReachabilityHierarchy:
             branches[tree_a] = np.concatenate((branches[tree_a], branches.pop(tree_b)))
         return label, strengths
 
-    def _estimate_typical_neighbours(self, members: IntArray, others: IntArray, radius: float) -> float:
+    def _estimate_typical_members_within(self, members: IntArray, others: IntArray, radius: float) -> float:
         """Number of members within `radius` of a typical member, extrapolated if `radius` exceeds their extent.
 
         The number is limited by that at the members nearest to the `others`. There is no gap between two clusters where

@@ -75,7 +75,7 @@ class Start:
         In s.
     parameters : mapping of str to ndarray of float64, shape (N,)
         Own parameters that differ between scenarios, such as ``"reaction"`` for a dimension ``Ego.reaction``. An
-        `Attachment` is given those of all its parts; driver, sensors and vehicle are given their own.
+        `AttachedDriver` is given those of all its parts; driver, sensors and vehicle are given their own.
     values : tuple of mapping, length N
         Values of the scenario file's parameters that differ from those in the file, by scenario.
     seeds : sequence of int, length N

@@ -147,9 +147,9 @@ def find_non_numeric_option(name: str) -> str | None:
 
 def is_compiled_driver_name(name: str) -> bool:
     """Check whether a name (with or without options and equipment) makes a registered driver that kernels can run."""
-    from cornercase.drivers._attachment import Attachment
+    from cornercase.drivers._attached_driver import AttachedDriver
 
-    return is_registered_driver(name) and Attachment(_create_registered(name), "").is_compiled
+    return is_registered_driver(name) and AttachedDriver(_create_registered(name), "").is_compiled
 
 
 def load_user_driver(name: str) -> Driver:

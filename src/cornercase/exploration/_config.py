@@ -32,7 +32,7 @@ from cornercase.metrics import METRICS, CriticalIf, Expression, Metric
 from cornercase.metrics._other_entities import ALL_OTHERS, resolve_others
 from cornercase.metrics._own_metrics import StoredMetric, as_items, name_or_own_metric, resolve_metrics
 from cornercase.optimizers import OPTIMIZERS, Optimizer
-from cornercase.optimizers._missing import known_optimizer
+from cornercase.optimizers._stored_optimizer import known_optimizer
 from cornercase.scenario import ConcreteScenario, LogicalScenario, Value
 from cornercase.scenario._file import ScenarioFile
 from cornercase.simulators import SIMULATORS, Simulator

@@ -230,19 +230,19 @@ def compute_course_and_score(metric: Metric, recording: Recording, ego: str, oth
         raise
     except BaseException as error:
         raise make_scenario_failure(part, error, interrupts) from error
-    if not (np.shape(course) == recording.time.shape and _is_numeric(course)):
+    if not (np.shape(course) == recording.time.shape and _has_real_dtype(course)):
         raise PluginError(
             f"{part} gave {repr_short(course)} as its course, which is not a number for each of"
             f" {recording.time.size} instants"
         )
-    if not (np.ndim(score) == 0 and _is_numeric(score)) or np.isnan(score):
+    if not (np.ndim(score) == 0 and _has_real_dtype(score)) or np.isnan(score):
         raise PluginError(f"{part} gave {repr_short(score)} as its score, which is not a number")
     if np.isinf(score) and not is_built_in(metric):
         raise PluginError(f"{part} gave an infinite score; set its attribute `bound` to the most critical value")
     return course, score
 
 
-def _is_numeric(value: object) -> bool:
+def _has_real_dtype(value: object) -> bool:
     return np.asarray(value).dtype.kind in "fiub"
 
 

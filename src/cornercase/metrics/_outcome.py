@@ -63,7 +63,7 @@ class Impact:
 
 
 @dataclass(frozen=True)
-class Encounter:
+class PathRelation:
     """How the paths of the ego and another entity meet; times in s.
 
     `relation` is ``"lane"`` if both move in the same direction at the beginning and at the end, in one lane or in
@@ -95,8 +95,8 @@ class Outcome:
     """
 
     ego: str
-    encounter: Encounter
-    others: tuple[Encounter, ...]
+    encounter: PathRelation
+    others: tuple[PathRelation, ...]
     impacts: tuple[Impact, ...]
     other_collisions: tuple[Collision, ...]
     exists: bool

@@ -115,8 +115,8 @@ class _TrafficScene:
         time = self.recording.time
         # Stored times are rounded, so a sample that is 2 s old up to a small tolerance belongs to the window.
         first = np.searchsorted(time, time - _WINDOW - 1e-6)
-        acceleration = _mean_from_index(first, self.recording.acceleration[self.ego])
-        speed = _mean_from_index(first, self.speed[self.ego])
+        acceleration = _running_mean_from(first, self.recording.acceleration[self.ego])
+        speed = _running_mean_from(first, self.speed[self.ego])
         return 0.5 * (np.abs(acceleration) / 1.5 + speed / 13.89)
 
     def smallest_gap_penalty(self) -> FloatArray:
@@ -156,7 +156,7 @@ def _coefficient_of_variation(speed: FloatArray, is_counted: BoolArray) -> Float
     return np.where(moves, spread / np.where(moves, mean, 1.0), 0.0)
 
 
-def _mean_from_index(first: IntArray, values: FloatArray) -> FloatArray:
+def _running_mean_from(first: IntArray, values: FloatArray) -> FloatArray:
     """Mean of the finite values from index `first` up to each instant; 0 if there are none."""
     is_finite = np.isfinite(values)
     total = np.append(0.0, np.cumsum(np.where(is_finite, values, 0.0)))

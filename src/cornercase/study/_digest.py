@@ -20,7 +20,7 @@ from cornercase._common.errors import InputError
 from cornercase._common.text.sanitize import parse_json
 from cornercase._common.typing import Float32Array, FloatArray, IntArray
 from cornercase.metrics import Metric, compute_features, registered_features
-from cornercase.metrics._outcome import Conflict, Culprit, Encounter, Fault, Impact, Outcome
+from cornercase.metrics._outcome import Conflict, Culprit, Fault, Impact, Outcome, PathRelation
 from cornercase.recordings import Collision, Recording
 from cornercase.recordings._entity_series import bearing_series, position_series
 from cornercase.recordings._rounded import encode_rounded
@@ -263,11 +263,11 @@ def _encode_fault(fault: Fault | None) -> list[Any] | None:
     return None if fault is None else [fault.who, fault.conflict, fault.sides, fault.point, fault.reasons]
 
 
-_ENCOUNTER_FIELDS: Final = tuple(field.name for field in fields(Encounter))
+_ENCOUNTER_FIELDS: Final = tuple(field.name for field in fields(PathRelation))
 _FLAGS: Final = ("exists", "moves", "stops", "waits", "yields")
 
 
-def _encode_encounter(encounter: Encounter) -> list[Any]:
+def _encode_encounter(encounter: PathRelation) -> list[Any]:
     values = [getattr(encounter, name) for name in _ENCOUNTER_FIELDS]
     return [_encode_float(value) if isinstance(value, float) else value for value in values]
 
@@ -403,9 +403,9 @@ def _decode_outcome(ending: Mapping[str, Any], ego: str, collisions: Sequence[Co
     )
 
 
-def _decode_encounter(values: Sequence[Any]) -> Encounter:
+def _decode_encounter(values: Sequence[Any]) -> PathRelation:
     entity, relation, first, ahead, *times = values
-    return Encounter(str(entity), relation, first, ahead, *map(_decode_float, times))
+    return PathRelation(str(entity), relation, first, ahead, *map(_decode_float, times))
 
 
 def _decode_float(value: float | None) -> float:

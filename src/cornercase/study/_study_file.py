@@ -561,7 +561,7 @@ class StudyFile:
             The scenario has not run, its id is not an integer, or the study has no such metric.
         """
         self._require_metric(metric)
-        scenario_id = self._check_id(scenario)
+        scenario_id = self._check_id_number(scenario)
         rows = self._database.read_rows("courses", "scenario = ? AND metric = ?", scenario_id, metric, with_blob=True)
         if not rows:
             raise self._not_run(scenario_id)
@@ -592,7 +592,7 @@ class StudyFile:
         return self._unpack_recording(self._read_packed_recording(scenario))
 
     def _read_packed_recording(self, scenario: int) -> bytes:
-        scenario_id = self._check_id(scenario)
+        scenario_id = self._check_id_number(scenario)
         rows = self._database.read_rows("scenarios", "id = ?", scenario_id, with_blob=True)
         if not rows or rows[0][-1] is None:
             raise self._not_run(scenario_id)
@@ -713,7 +713,7 @@ class StudyFile:
             return decode_digest(decode_facts(facts), packed, self.meta)
 
     def _read_digest(self, scenario: int) -> tuple[str, bytes]:
-        scenario_id = self._check_id(scenario)
+        scenario_id = self._check_id_number(scenario)
         rows = self._database.read_rows("digests", "scenario = ?", scenario_id, with_blob=True)
         if not rows:
             raise self._not_run(scenario_id)
@@ -840,7 +840,7 @@ class StudyFile:
                 )
             return dict(rows)
 
-    def _check_id(self, scenario: object) -> int:
+    def _check_id_number(self, scenario: object) -> int:
         with suppress(InputError):
             return check_int("scenario", scenario, maximum=_MAX_ID)
         ids = describe_ids([row.id for row in self.rows()])

@@ -65,7 +65,7 @@ class _DigestWalk:
             yield from (
                 self._walk_function(value)
                 if isinstance(value, FunctionType)
-                else self._walk_source_file(value.__module__)
+                else self._yield_source_file(value.__module__)
             )
 
     def _walk_names(self, namespace: dict[str, Any], names: frozenset[str]) -> Iterator[bytes]:
@@ -79,7 +79,7 @@ class _DigestWalk:
         yield from self._walk_names(function.__globals__, frozenset(names))
         yield repr(function.__defaults__).encode()
 
-    def _walk_source_file(self, module: str) -> Iterator[bytes]:
+    def _yield_source_file(self, module: str) -> Iterator[bytes]:
         """Yield the source file of a module whose objects have no bytecode, such as numba's intrinsics."""
         if module not in self.seen:
             self.seen.add(module)

@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 from numba.core.dispatcher import Dispatcher
 
-from cornercase._common.numba import pointers, references
+from cornercase._common.numba import pointers, tuple_pointers
 
 MAX_SECONDS: Final = 4.0
 """Longest time in s for which a process interprets kernels; compiling all of them takes longer."""
@@ -235,7 +235,7 @@ _REPLACED: Final[dict[Any, Any]] = {
     pointers.call_for_int: _call,
     pointers.call_for_float: _call,
     pointers.call_for_bool: _call,
-    references.reference_to: lambda table: table,
+    tuple_pointers.reference_to: lambda table: table,
 }
 
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from cornercase._common.numba.interpret import are_all_compiled
-from cornercase._common.numba.references import reference_type
+from cornercase._common.numba.tuple_pointers import reference_type
 from cornercase._common.typing import IntArray
 
 

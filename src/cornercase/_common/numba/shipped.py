@@ -26,7 +26,7 @@ from numba.core.compiler import CompileResult
 from numba.core.runtime.nrt import rtsys
 from numba.core.serialize import dumps
 
-from cornercase._common.numba.references import Reference
+from cornercase._common.numba.tuple_pointers import Reference
 
 FOLDER: Final = Path(__file__).parents[2] / "_compiled"
 """Folder of machine code in the package."""

@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from cornercase._common.numba.kernel import kernel
-from cornercase.clustering._cells import CELL_SIZE, MARGIN, fill_squares_if_nearer, fill_squares_to_centers
+from cornercase.clustering._cells import CELL_SIZE, MARGIN, fill_squares_to_centers, measure_cell_or_give_up
 
 _BLOCK_SIZE = 128
 """Number of points whose squared distances are summed together."""
@@ -38,7 +38,7 @@ def choose_centers(points, cells, first, random_numbers):
     to_centers, to_members = np.empty(len(cells.indices)), np.empty(CELL_SIZE)
     no_bound = np.full(CELL_SIZE, np.inf)
     for cell in range(len(reach)):
-        fill_squares_if_nearer(points[first], cells.members[cell], no_bound, to_members)
+        measure_cell_or_give_up(points[first], cells.members[cell], no_bound, to_members)
         for i in range(CELL_SIZE):
             if cells.indices[cell, i] >= 0:
                 squares[cell, i] = squares_by_point[cells.indices[cell, i]] = to_members[i]
@@ -53,7 +53,7 @@ def choose_centers(points, cells, first, random_numbers):
             gain = 0.0
             fill_squares_to_centers(points[candidate], cells.centers, to_centers)
             for cell in range(len(reach)):
-                if to_centers[cell] <= reach[cell] and fill_squares_if_nearer(
+                if to_centers[cell] <= reach[cell] and measure_cell_or_give_up(
                     points[candidate], cells.members[cell], squares[cell], to_members
                 ):
                     for i in range(CELL_SIZE):
@@ -63,7 +63,7 @@ def choose_centers(points, cells, first, random_numbers):
         chosen[c] = best
         fill_squares_to_centers(points[best], cells.centers, to_centers)
         for cell in range(len(reach)):
-            if to_centers[cell] <= reach[cell] and fill_squares_if_nearer(
+            if to_centers[cell] <= reach[cell] and measure_cell_or_give_up(
                 points[best], cells.members[cell], squares[cell], to_members
             ):
                 for i in range(CELL_SIZE):

@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from cornercase._common.numba.kernel import kernel
-from cornercase.clustering._cells import CELL_SIZE, MARGIN, fill_squares_if_nearer, fill_squares_to_centers
+from cornercase.clustering._cells import CELL_SIZE, MARGIN, fill_squares_to_centers, measure_cell_or_give_up
 
 
 @kernel(error_model="numpy")
@@ -34,7 +34,7 @@ def fill_nearest_rows(columns, cells, result):
             if to_centers[cell] > (cells.radii[cell] + math.sqrt(farthest)) ** 2 * MARGIN:
                 continue
             bounds[:] = farthest
-            if not fill_squares_if_nearer(columns[j], cells.members[cell], bounds, to_members):
+            if not measure_cell_or_give_up(columns[j], cells.members[cell], bounds, to_members):
                 continue
             for i in range(CELL_SIZE):
                 if cells.indices[cell, i] >= 0 and to_members[i] < nearest_squares[n_nearest - 1]:

@@ -12,7 +12,7 @@ import numpy as np
 from cornercase._common.text.sanitize import quote_name
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.clustering.naming._feature_phrases import FEATURE_PHRASES
-from cornercase.metrics._outcome import Encounter, Impact, Outcome
+from cornercase.metrics._outcome import Impact, Outcome, PathRelation
 from cornercase.scenario import Parameter, ParameterSpace, Value
 
 # Bounds of impact speeds in m/s, of gaps in s, of decelerations in m/s², of turns in rad and of shifts in m.
@@ -163,7 +163,7 @@ def _describe_other_entities(outcome: Outcome) -> Iterator[str]:
     for collision in outcome.other_collisions:
         yield f"{' and '.join(map(quote_name, collision.entities))} collide"
     # If ego and other collide, the ending does not say who was first.
-    main: Encounter = outcome.encounter
+    main: PathRelation = outcome.encounter
     if outcome.impacts and main.relation == "crossing":
         yield f"{quote_name(str(main.first))} first"
 

@@ -14,7 +14,7 @@ from numba import types
 from cornercase._common.numba.kernel import kernel
 from cornercase._common.numba.late import LateKernels
 from cornercase._common.numba.pointers import call_for_float
-from cornercase._common.numba.references import reference_to, reference_type
+from cornercase._common.numba.tuple_pointers import reference_to, reference_type
 from cornercase.drivers._kernels.follow import follow_with_idm
 from cornercase.drivers._kernels.idm_and_yield import plan_acceleration
 from cornercase.drivers._kernels.lookahead import MAX_SAMPLES

@@ -205,7 +205,7 @@ class FmuDriver(DrivingFunction):
                 self._processes = FmuProcesses(
                     self._model.unpack(folder), once_per_process=self._model.once_per_process, timeout=self.timeout
                 )
-            self._processes.begin(
+            self._processes.begin_batch(
                 start.scenarios,
                 self._map.input_layouts,
                 self._map.output_layouts,
@@ -259,7 +259,7 @@ class FmuDriver(DrivingFunction):
     def release(self) -> None:
         """End the batch; the processes stay for the next one."""
         if self._processes is not None:
-            self._processes.end()
+            self._processes.end_batch()
 
     def _fail_all(self, text: str, situation: Situation) -> Controls:
         failed = dict.fromkeys(np.flatnonzero(situation.active).tolist(), text)

@@ -89,7 +89,7 @@ class FmuProcesses:
         self._used: list[_Process] = []
         self._reset: bool | None = None
 
-    def begin(
+    def begin_batch(
         self,
         scenarios: int,
         inputs: Sequence[TableLayout],
@@ -115,7 +115,7 @@ class FmuProcesses:
         self._used = self._processes[: len(self._rows)]
         for process, rows in zip(self._used, self._rows, strict=True):
             own = [(kind, vr, values[rows] if len(values) > 1 else values) for kind, vr, values in parameters]
-            process.begin(rows.stop - rows.start, inputs, outputs, own, step, steps, messages, self._reset)
+            process.begin_batch(rows.stop - rows.start, inputs, outputs, own, step, steps, messages, self._reset)
 
     def step(
         self, active: BoolArray, inputs: Sequence[npt.NDArray[Any]], messages: Sequence[Sequence[bytes]]
@@ -144,11 +144,11 @@ class FmuProcesses:
         """Return the messages that each scenario has written in a step."""
         return [row for process in self._used for row in process.messages]
 
-    def end(self) -> None:
+    def end_batch(self) -> None:
         """End a batch; instances are kept if a reset of them gives the same bytes."""
         for process in self._used:
             try:
-                self._reset = process.end(self._reset)
+                self._reset = process.end_batch(self._reset)
             except FmuProcessError:
                 self._reset = False
             if self._once and not self._reset:
@@ -190,7 +190,7 @@ class _Process:
         """Whether the process still runs."""
         return self._close.alive and self._process.poll() is None
 
-    def begin(
+    def begin_batch(
         self,
         scenarios: int,
         inputs: Sequence[TableLayout],
@@ -201,7 +201,7 @@ class _Process:
         messages: MessageLayouts,
         reset: bool | None,
     ) -> None:
-        """Begin a batch, as `FmuProcesses.begin`."""
+        """Begin a batch, as `FmuProcesses.begin_batch`."""
         size, layouts = PROGRESS_BYTES + scenarios, list[list[Any]]()
         positions = list[int]()
         for table in (*inputs, *outputs):
@@ -269,7 +269,7 @@ class _Process:
             answer[row] = f"failed: {text}{_format_log(lines)}"
         return {int(row): text for row, text in (answer or {}).items()}
 
-    def end(self, reset: bool | None) -> bool | None:
+    def end_batch(self, reset: bool | None) -> bool | None:
         """End a batch; return whether instances may be reset, or None if that is not known."""
         answer: bool | None = self._ask({"do": "end", "reset": reset})
         return answer

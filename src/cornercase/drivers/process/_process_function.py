@@ -23,7 +23,7 @@ from cornercase._common.text.sanitize import escape_control_characters, quote_na
 from cornercase._common.typing import FloatArray
 from cornercase._common.validation import check_float, repr_short
 from cornercase._common.version import __version__
-from cornercase.drivers._attachment import DriverError
+from cornercase.drivers._attached_driver import DriverError
 from cornercase.drivers._base import Situation
 from cornercase.drivers._controls import Controls
 from cornercase.drivers._function import DrivingFunction, Start

@@ -20,7 +20,7 @@ def measure_features(recording: Recording, outcome: Outcome, poses: Poses | None
     """Measure how a scenario went for the ego: features by name, NaN for what did not happen.
 
     - ``"impact speed"``, ``"impact time"``: of the ego's first collision, in m/s and s
-    - ``"entry"``, ``"gap"``: when the ego enters the crossing, and the time gap there, in s, as in `Encounter`
+    - ``"entry"``, ``"gap"``: when the ego enters the crossing, and the time gap there, in s, as in `PathRelation`
     - ``"nearest"``, ``"nearest time"``, ``"first distance"``: smallest gap between the boxes of ego and other, its
       first instant, and the gap at the beginning, in m and s
     - ``"lowest speed"``, ``"highest speed"``, ``"mean speed"``, ``"first speed"``, ``"last speed"``: of the ego in m/s,

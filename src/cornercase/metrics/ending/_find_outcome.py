@@ -10,7 +10,7 @@ import numpy as np
 
 from cornercase._common.geometry.boxes import wrap_angle
 from cornercase._common.typing import BoolArray, FloatArray
-from cornercase.metrics._outcome import Encounter, Impact, Manner, Outcome
+from cornercase.metrics._outcome import Impact, Manner, Outcome, PathRelation
 from cornercase.metrics.ending._path_crossing import BoxPath, find_path_crossing
 from cornercase.metrics.ending._poses import Poses
 from cornercase.metrics.fault._find_fault import find_fault
@@ -109,11 +109,11 @@ def describe_outcome(recording: Recording, ego: str, other: str) -> str:
     return find_outcome(recording, ego, other, others=False).text
 
 
-def _find_encounter(scene: _Scene, ego_path: BoxPath, other: str, extrapolate: bool = False) -> Encounter:
+def _find_encounter(scene: _Scene, ego_path: BoxPath, other: str, extrapolate: bool = False) -> PathRelation:
     same_direction = _compare_directions(scene, other)
     if same_direction is None:
         both_exist = all(scene.poses.exists[scene.recording.entity_index(name)].any() for name in (scene.ego, other))
-        return Encounter(other, "apart" if both_exist else "absent")
+        return PathRelation(other, "apart" if both_exist else "absent")
     is_same_direction, is_adjacent, lane_encounter = same_direction
     if is_same_direction and is_adjacent:
         return lane_encounter
@@ -121,30 +121,30 @@ def _find_encounter(scene: _Scene, ego_path: BoxPath, other: str, extrapolate: b
     crossing = find_path_crossing(ego_path, other_path)
     if is_same_direction:
         # On a bend, an entity far ahead is off to the side.
-        return lane_encounter if crossing else Encounter(other, "apart")
+        return lane_encounter if crossing else PathRelation(other, "apart")
     if crossing is None:
-        return _encounter_after_end(scene, ego_path, other_path, other) if extrapolate else Encounter(other, "apart")
+        return _encounter_after_end(scene, ego_path, other_path, other) if extrapolate else PathRelation(other, "apart")
     if crossing.enters < crossing.other_enters:
         first, gap = scene.ego, crossing.other_enters - crossing.leaves
     else:
         first, gap = other, crossing.enters - crossing.other_leaves
-    return Encounter(other, "crossing", first=first, enters=crossing.enters, leaves=crossing.other_leaves, gap=gap)
+    return PathRelation(other, "crossing", first=first, enters=crossing.enters, leaves=crossing.other_leaves, gap=gap)
 
 
-def _encounter_after_end(scene: _Scene, ego_path: BoxPath, other_path: BoxPath, other: str) -> Encounter:
+def _encounter_after_end(scene: _Scene, ego_path: BoxPath, other_path: BoxPath, other: str) -> PathRelation:
     """Who alone reached the point where both paths would cross if they went straight on after the end."""
     # An entity that never moves has no path to extrapolate.
     if not (scene.has_moved(scene.ego) and scene.has_moved(other)):
-        return Encounter(other, "apart")
+        return PathRelation(other, "apart")
     crossing = find_path_crossing(ego_path.extrapolate(), other_path.extrapolate())
     if crossing is None or min(crossing.enters, crossing.other_enters) > ego_path.end_time:
-        return Encounter(other, "apart")
+        return PathRelation(other, "apart")
     if crossing.enters < crossing.other_enters:
-        return Encounter(other, "crossing", first=scene.ego, enters=crossing.enters)
-    return Encounter(other, "crossing", first=other, leaves=min(crossing.other_leaves, ego_path.end_time))
+        return PathRelation(other, "crossing", first=scene.ego, enters=crossing.enters)
+    return PathRelation(other, "crossing", first=other, leaves=min(crossing.other_leaves, ego_path.end_time))
 
 
-def _compare_directions(scene: _Scene, other: str) -> tuple[bool, bool, Encounter] | None:
+def _compare_directions(scene: _Scene, other: str) -> tuple[bool, bool, PathRelation] | None:
     """Whether both move in the same direction, whether in one lane or adjacent ones, and their encounter if so."""
     i, j = scene.ego_index, scene.recording.entity_index(other)
     shared = scene.poses.exists[i] & scene.poses.exists[j]
@@ -159,7 +159,7 @@ def _compare_directions(scene: _Scene, other: str) -> tuple[bool, bool, Encounte
         is_adjacent &= abs(across) <= _ADJACENT_LANE_DISTANCE
         entities_ahead.append(other if along > 0.0 else scene.ego)
     first_ahead, last_ahead = entities_ahead
-    return is_same_direction, is_adjacent, Encounter(other, "lane", first=last_ahead, ahead=first_ahead)
+    return is_same_direction, is_adjacent, PathRelation(other, "lane", first=last_ahead, ahead=first_ahead)
 
 
 def _heading_difference(recording: Recording, ego_index: int, other_index: int, instant: int) -> float:
@@ -176,7 +176,7 @@ def _relative_position(poses: Poses, ego_index: int, other_index: int, instant: 
 
 
 def _find_waiting_and_yielding(
-    time: FloatArray, speed: FloatArray, has_moved: BoolArray, ego: str, encounter: Encounter
+    time: FloatArray, speed: FloatArray, has_moved: BoolArray, ego: str, encounter: PathRelation
 ) -> tuple[bool, bool]:
     if encounter.relation != "crossing" or encounter.first == ego:
         return False, False

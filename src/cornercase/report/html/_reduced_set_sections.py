@@ -57,7 +57,7 @@ def _render_coverage(reduced: ReducedSet, threshold_note: str) -> Iterator[str]:
         "<p>DTW distance from each scenario that was run to the nearest kept one, also as a share of the largest"
         " distance between any two. The kept scenarios were chosen to make these distances small.</p>"
     )
-    if held_out := tables.render_held_out_coverage(reduced.coverage):
+    if held_out := tables.render_distances_of_held_out_scenarios(reduced.coverage):
         yield held_out
         yield (
             "<p>The same for held-out scenarios, which the choice has not seen: each fifth of the scenarios (only one"

@@ -197,7 +197,7 @@ def render_coverage(coverage: Mapping[str, Coverage]) -> str:
     )
 
 
-def render_held_out_coverage(coverage: Mapping[str, Coverage]) -> str:
+def render_distances_of_held_out_scenarios(coverage: Mapping[str, Coverage]) -> str:
     """Render distances from held-out scenarios to the reduced set, to random sets and to k-medoids.
 
     Held-out scenarios took no part in the selection. Empty if they were not measured.

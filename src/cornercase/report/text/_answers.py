@@ -39,7 +39,7 @@ from cornercase.report.text._phrases import (
     join_with_and,
     use_math_signs,
 )
-from cornercase.report.text._reply_sentences import describe_replies
+from cornercase.report.text._reaction_sentences import describe_reactions
 from cornercase.report.text._tested_space import describe_tested_space
 from cornercase.report.text._what_next import (
     describe_next_steps,
@@ -212,7 +212,7 @@ def _describe_fault_with_reason(fault: Fault, ego: str, other: str) -> str:
 def _answer_replies(data: ReportData, replies: ReplyCounts) -> Answer:
     meta = data.summary.meta
     other = meta.others[0] if len(meta.others) == 1 else "the other"
-    text, points = describe_replies(replies, meta.ego, other)
+    text, points = describe_reactions(replies, meta.ego, other)
     references = describe_references(data.summary.references).strip()
     return Answer("fix", "What do I fix?", text, (*filter(None, [references]), *points))
 

@@ -15,7 +15,7 @@ from cornercase._common.plugin_errors import format_time_of_failure
 from cornercase._common.text.source_lines import locate_input_errors
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.drivers import Driver
-from cornercase.drivers._attachment import DriverError
+from cornercase.drivers._attached_driver import DriverError
 from cornercase.drivers._parameters import find_parameter, is_same_in_batch, read_parameters
 from cornercase.recordings import Collision, Recording
 from cornercase.scenario import Value
@@ -176,7 +176,7 @@ class Batch:
                     self._world.errors[0] = failure.error
             finally:
                 for driving in self._driver_actions:
-                    driving.release_driver()
+                    driving.free_driver_resources()
 
     def cancel(self) -> None:
         """Make `run` in another thread end soon; its results cannot be used."""

@@ -19,8 +19,8 @@ from cornercase.drivers._resolve import DriverLike, check_drivers, may_steer, re
 from cornercase.scenario import ConcreteScenario, LogicalScenario, ParameterSpace
 from cornercase.scenario._file import ScenarioFile
 from cornercase.scenario._xml import read_xml
+from cornercase.simulators.builtin._ignored_content import collect_notices
 from cornercase.simulators.builtin._simulator import Builtin
-from cornercase.simulators.builtin._unsupported import collect_notices
 
 _COUNTED_ELEMENTS: Final = ("ScenarioObject", "Story", "Act", "ManeuverGroup", "Event")
 

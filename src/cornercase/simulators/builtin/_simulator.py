@@ -24,8 +24,8 @@ from cornercase.scenario._file import ScenarioFile
 from cornercase.simulators._base import Availability, Simulator, check_settings
 from cornercase.simulators._driver_parameters import find_parameters_of_drivers
 from cornercase.simulators.builtin._batch import Batch
+from cornercase.simulators.builtin._ignored_content import read_and_collect_notices
 from cornercase.simulators.builtin._prepared_file import PreparedScenario
-from cornercase.simulators.builtin._unsupported import read_and_collect_notices
 
 # Limits of a batch: bytes of motion if all scenarios last the maximum duration, and scenarios. The overhead of a batch
 # equals that of several hundred scenarios.

@@ -301,7 +301,7 @@ class Stepper:
                 return
             if any_true(needs_lane):
                 world.running[:] = needs_lane
-                self._follow_lanes_at_positions()
+                self._attach_steered_entities_to_lanes()
                 extend_lane_paths(world)
                 status[(status == NEEDS_STORYBOARD) & needs_lane & ~self._loop_state.evaluates_each_frame] = MOVE
             if any_true(needs_lookup):
@@ -337,7 +337,7 @@ class Stepper:
                     if driving.steers and isinstance(track, LaneTrack) and world.network is not None:
                         self._fleet = set_half_widths(self._fleet, d, k, half_lane_widths(world.network, track.path))
 
-    def _follow_lanes_at_positions(self) -> None:
+    def _attach_steered_entities_to_lanes(self) -> None:
         """Make entities that kernels steer follow the lanes in which they are, in the running scenarios."""
         world = self._world
         for driving in self._driver_actions:
@@ -370,6 +370,6 @@ def _build_driver_fleet(world: World, driver_actions: list[DriverControl]) -> Fl
         boxes[:, 1],
         boxes[:, 2],
         [entity.kind for entity in world.entities],
-        [entity.attachment.compiled_vehicle if entity.in_fleet else None for entity in driver_actions],
+        [entity.attached_driver.compiled_vehicle if entity.in_fleet else None for entity in driver_actions],
         world.friction,
     )

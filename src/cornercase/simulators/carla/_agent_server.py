@@ -19,7 +19,7 @@ from cornercase._common.errors import InputError, PluginError, SimulationError
 from cornercase._common.geometry.boxes import wrap_angle
 from cornercase._common.text.source_lines import prefix_file
 from cornercase.drivers import Controls, Driver, DrivingFunction, Situation, Start, View
-from cornercase.drivers._attachment import Attachment, DriverError
+from cornercase.drivers._attached_driver import AttachedDriver, DriverError
 from cornercase.drivers._view import SharedView
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators.builtin._simulator import Builtin
@@ -46,7 +46,7 @@ class AgentServer:
         folder: Path,
     ) -> None:
         self._start, self._first = _probe(concrete, ego, time_step)
-        self._attachment, self._time_step, self._ego = Attachment(driver, ego), time_step, ego
+        self._attached_driver, self._time_step, self._ego = AttachedDriver(driver, ego), time_step, ego
         self.failure: SimulationError | None = None
         self._begin_time: float | None = None
         self._situation = self._first
@@ -68,11 +68,11 @@ class AgentServer:
     @property
     def limit_notices(self) -> Mapping[str, str]:
         """A sentence without full stop for each limit of the vehicle that the driver exceeded."""
-        return self._attachment.limit_notices
+        return self._attached_driver.limit_notices
 
     def __enter__(self) -> Self:
         try:
-            self._attachment.start(self._start)
+            self._attached_driver.start(self._start)
         except DriverError as error:
             self._listener.close()
             raise error.error from error
@@ -86,7 +86,7 @@ class AgentServer:
                 end.shutdown(socket.SHUT_RDWR)
         self._listener.close()
         self._thread.join()
-        self._attachment.release()
+        self._attached_driver.release()
 
     def _serve(self) -> None:
         try:
@@ -104,7 +104,7 @@ class AgentServer:
         except SimulationError as error:
             self.failure = error
         except Exception as error:
-            self.failure = PluginError(f"{self._attachment.display_name} could not be asked: {error}")
+            self.failure = PluginError(f"{self._attached_driver.display_name} could not be asked: {error}")
 
     def _answer(self, now: float, states: Mapping[str, list[float]]) -> dict[str, Any]:
         """Return what the ego does from `now` on, given the state of all entities."""
@@ -115,7 +115,7 @@ class AgentServer:
         arrays: dict[str, Any] = {
             name: value.copy() for name, value in vars(situation).items() if isinstance(value, np.ndarray)
         }
-        decision = self._attachment.step(replace(situation, **arrays))
+        decision = self._attached_driver.step(replace(situation, **arrays))
         if 0 in decision.failures:
             raise decision.failures[0]
         motion, ego = decision.motion.state, View(SharedView(situation), 0)

@@ -12,7 +12,7 @@ import numpy as np
 from cornercase._common.errors import InputError, SimulationError
 from cornercase._common.typing import FloatArray
 from cornercase.drivers import DrivenPath, Driver, Situation
-from cornercase.drivers._attachment import Attachment, DriverError
+from cornercase.drivers._attached_driver import AttachedDriver, DriverError
 from cornercase.drivers._function import Start
 from cornercase.drivers._parameters import read_parameters
 from cornercase.scenario import Value
@@ -138,7 +138,7 @@ class DrivenEntity:
     ) -> None:
         self._lib, self._entity, self._others, self._path = lib, entity, others, path
         self.name = entity.name
-        self._attachment = Attachment(driver, entity.name)
+        self._attached_driver = AttachedDriver(driver, entity.name)
         self._time_step = time_step
         self._sets_speed = sets_speed
         self._target_speed = math.inf
@@ -154,15 +154,15 @@ class DrivenEntity:
     @property
     def limit_notices(self) -> Mapping[str, str]:
         """A sentence without full stop for each limit of the vehicle that the driver exceeded."""
-        return self._attachment.limit_notices
+        return self._attached_driver.limit_notices
 
     def start(self, start: Start) -> None:
         """Begin a run; raises `DriverError`."""
-        self._attachment.start(start)
+        self._attached_driver.start(start)
 
     def release(self) -> None:
         """Release what the driver holds at the end of a run."""
-        self._attachment.release()
+        self._attached_driver.release()
 
     def decide(
         self, states: Mapping[str, ObjectState], speeds: dict[str, float], time: float
@@ -187,7 +187,7 @@ class DrivenEntity:
         situation = self._make_situation(self._path.path, state, states, speeds, time)
         self._previous_speed = state.speed
         try:
-            decision = self._attachment.step(situation)
+            decision = self._attached_driver.step(situation)
         except DriverError as error:
             return error.error
         if 0 in decision.failures:

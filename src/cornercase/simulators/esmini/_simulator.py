@@ -15,7 +15,7 @@ import numpy as np
 from cornercase._common.errors import InputError, SimulationError
 from cornercase._common.geometry.boxes import box_corners, boxes_overlap
 from cornercase.drivers import Driver
-from cornercase.drivers._attachment import DriverError
+from cornercase.drivers._attached_driver import DriverError
 from cornercase.drivers._resolve import DriverLike, check_drivers
 from cornercase.recordings import Collision, Recording
 from cornercase.scenario import ConcreteScenario, Value

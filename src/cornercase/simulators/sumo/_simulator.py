@@ -23,8 +23,8 @@ from cornercase.scenario._file import ScenarioFile
 from cornercase.simulators._base import Availability, Simulator, check_seed, check_settings
 from cornercase.simulators._driver_parameters import find_parameters_of_drivers
 from cornercase.simulators.builtin._batch import Batch
+from cornercase.simulators.builtin._ignored_content import read_and_collect_notices
 from cornercase.simulators.builtin._prepared_file import PreparedScenario, UnusableValuesError
-from cornercase.simulators.builtin._unsupported import read_and_collect_notices
 from cornercase.simulators.sumo._coupling import VEHICLE_TYPES, SumoCoupling
 from cornercase.simulators.sumo._network import find_or_convert_network
 

@@ -34,6 +34,7 @@ from cornercase.suite.compare._comparison import (
     ScenarioPair,
     ScoreChanges,
 )
+from cornercase.suite.compare._critical_region_change import estimate_space_change
 from cornercase.suite.compare._match import (
     StudySide,
     choose_compared_metrics,
@@ -49,7 +50,6 @@ from cornercase.suite.compare._significance import (
     test_pairs,
     test_unpaired_samples,
 )
-from cornercase.suite.compare._space_change import estimate_space_change
 
 _DRIVER_PREFIX: Final = "drivers "
 # Fields listed as differences; seed and optimizer only determine which scenarios were run.

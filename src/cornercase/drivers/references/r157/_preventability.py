@@ -11,7 +11,7 @@ import numpy as np
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.drivers._base import DrivenPath, Situation
 from cornercase.drivers.references.r157._models import REFERENCES, URGENT_TIME_TO_COLLISION, time_to_collision
-from cornercase.drivers.references.r157._perception import ReferencePerception
+from cornercase.drivers.references.r157._relative_motion_tracker import RelativeMotionTracker
 from cornercase.recordings import Collision, Recording
 
 # The regulation's models cover motorway traffic in about one direction: largest angle between directions in rad, and
@@ -133,7 +133,8 @@ def _is_cut_in_over_before(run: Recording, ego: str, hit_collision: Collision) -
     i, other_rows = run.entity_index(ego), [k for k, name in enumerate(run.names) if name != ego]
     valid = np.isfinite(run.x[i]) & (run.time <= hit_collision.time + _TIME_TOLERANCE)
     situation = _situations_over_time(run, i, other_rows, valid)
-    view = ReferencePerception(int(valid.sum()), len(other_rows)).relative_motion(situation, run.acceleration[i, valid])
+    tracker = RelativeMotionTracker(int(valid.sum()), len(other_rows))
+    view = tracker.relative_motion(situation, run.acceleration[i, valid])
     k = other_rows.index(run.entity_index(_collision_partner(hit_collision, ego)))
     in_corridor, is_next_to = view.lateral_gap[:, k] < 0.0, view.lateral_gap[:, k] >= 0.0
     cuts_in = np.flatnonzero(in_corridor[1:] & is_next_to[:-1]) + 1

@@ -12,7 +12,7 @@ from cornercase._common.typing import FloatArray
 from cornercase.drivers._base import Situation
 from cornercase.drivers._varied_driver import VariedDriver
 from cornercase.drivers.references.r157._models import REFERENCES, BrakingReaction
-from cornercase.drivers.references.r157._perception import ReferencePerception
+from cornercase.drivers.references.r157._relative_motion_tracker import RelativeMotionTracker
 
 # m/s² towards the scenario's target speed while nothing is unsafe.
 _TARGET_SPEED_ACCELERATION, _TARGET_SPEED_DECELERATION = 2.0, 4.0
@@ -71,7 +71,7 @@ class ReferenceDriver(VariedDriver):
     def start(self, scenarios: int, others: int) -> None:
         """Reset all state for a batch of N scenarios with A other entities in each."""
         self._reaction = BrakingReaction(self._reference, scenarios)
-        self._surroundings = ReferencePerception(scenarios, others)
+        self._surroundings = RelativeMotionTracker(scenarios, others)
         self._acceleration = np.zeros(scenarios)
 
     def vary(self, options: Sequence[Mapping[str, float]]) -> None:

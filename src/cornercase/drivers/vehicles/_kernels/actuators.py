@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from cornercase._common.numba.kernel import kernel
-from cornercase._common.numba.references import reference_to
+from cornercase._common.numba.tuple_pointers import reference_to
 from cornercase._common.typing import FloatArray
 
 plain_kernel = kernel(error_model="numpy", _nrt=False)

@@ -13,7 +13,7 @@ from numba import types
 from cornercase._common.numba.kernel import kernel
 from cornercase._common.numba.late import LateKernels
 from cornercase._common.numba.pointers import call_for_float
-from cornercase._common.numba.references import reference_to
+from cornercase._common.numba.tuple_pointers import reference_to
 from cornercase.drivers.vehicles._kernels.actuators import KINEMATIC, LEFT_X, LEFT_Y, SINGLE_TRACK, SPEED
 from cornercase.drivers.vehicles._kernels.rolling import X, Y, roll_vehicle
 from cornercase.drivers.vehicles._kernels.sliding import slide_vehicle

@@ -13,7 +13,7 @@ from cornercase._common.masks import any_true
 from cornercase._common.plugin_errors import is_built_in
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.drivers import DrivenPath, Driver, PlanarMotion, Situation
-from cornercase.drivers._attachment import Attachment, Decision, DriverError
+from cornercase.drivers._attached_driver import AttachedDriver, Decision, DriverError
 from cornercase.drivers._function import Start
 from cornercase.drivers._lanes import driven_path
 from cornercase.drivers._resolve import create_driver_named_in_file
@@ -47,9 +47,9 @@ class DriverControl:
         self, world: World, entity: int, driver: Driver, parameters: Mapping[str, FloatArray] | None = None
     ) -> None:
         self._world, self.entity, self._parameters = world, entity, parameters or {}
-        self.attachment = Attachment(driver, world.names[entity])
-        self.in_fleet = self.attachment.is_compiled
-        self.driver = self.attachment.driver if self.in_fleet else driver
+        self.attached_driver = AttachedDriver(driver, world.names[entity])
+        self.in_fleet = self.attached_driver.is_compiled
+        self.driver = self.attached_driver.driver if self.in_fleet else driver
         self.number = len(world.drivers)
         world.drivers.append(self)
         self._others = [other for e, other in enumerate(world.entities) if e != entity]
@@ -66,13 +66,13 @@ class DriverControl:
     @property
     def limit_notices(self) -> dict[str, str]:
         """A sentence without full stop for each limit of the vehicle that the driver exceeded."""
-        return self.attachment.limit_notices
+        return self.attached_driver.limit_notices
 
     def _join_fleet(self) -> None:
         driver = self.driver
         try:
-            self.attachment.start(self._make_start())
-            self.driver = self.attachment.driver
+            self.attached_driver.start(self._make_start())
+            self.driver = self.attached_driver.driver
         except DriverError as failure:
             # The fleet needs a started driver.
             self._failure = failure
@@ -84,11 +84,11 @@ class DriverControl:
         if self._failure is not None:
             raise self._failure
         if not self.in_fleet:
-            self.attachment.start(self._make_start())
+            self.attached_driver.start(self._make_start())
 
-    def release_driver(self) -> None:
+    def free_driver_resources(self) -> None:
         """Release what the driver holds when the batch has ended."""
-        self.attachment.release()
+        self.attached_driver.release()
 
     def _make_start(self) -> Start:
         world, entity = self._world, self._world.entities[self.entity]
@@ -106,7 +106,7 @@ class DriverControl:
     @property
     def steers(self) -> bool:
         """Whether its vehicle steers."""
-        return self.attachment.vehicle is not None and self.attachment.vehicle.steers
+        return self.attached_driver.vehicle is not None and self.attached_driver.vehicle.steers
 
     def find_scenarios_in_charge(self) -> BoolArray:
         """Return the running scenarios in which the driver drives the entity, shape (N,)."""
@@ -122,7 +122,7 @@ class DriverControl:
         for k, track in enumerate([*world.tracks[e]]):
             rows = active & (track_numbers == k)
             if any_true(rows) and not (isinstance(track, Trajectory) and track.times is not None):
-                self._apply(self.attachment.step(*self._make_situation(k, track, dt, rows)), rows)
+                self._apply(self.attached_driver.step(*self._make_situation(k, track, dt, rows)), rows)
 
     def _apply(self, decision: Decision, rows: BoolArray) -> None:
         """Do what the driver decides in the scenarios of a mask."""
@@ -131,11 +131,12 @@ class DriverControl:
             world.fail(np.arange(world.scenarios) == n, failure)
         rows = rows & world.running
         world.steered[e][rows] = motion.is_steered[rows]
-        if self.attachment.vehicle is not None:
+        if self.attached_driver.vehicle is not None:
             world.pace[e][rows] = 0.5 * (world.speed[e] + motion.state.speed)[rows]
-        if self.attachment.sees_start_of_step and any_true(goes := rows & world.moved[e] & ~motion.is_steered):
+        if self.attached_driver.sees_start_of_step and any_true(goes := rows & world.moved[e] & ~motion.is_steered):
             # The storyboard has moved it along a trajectory by the speed that it had.
-            covered = (world.pace[e] if self.attachment.vehicle is not None else motion.state.speed) * world.time_step
+            pace = world.pace[e] if self.attached_driver.vehicle is not None else motion.state.speed
+            covered = pace * world.time_step
             shift_along_trajectory(world, e, goes, covered - world.speed[e] * world.time_step)
         np.copyto(world.speed[e], motion.state.speed, where=rows)
         if any_true(steered := rows & motion.is_steered):
@@ -151,7 +152,7 @@ class DriverControl:
         own = np.empty((len(OWN_ROWS), world.scenarios))
         others = np.empty((len(OTHERS_ROWS), len(self._others), world.scenarios))
         begin = np.empty((3, world.scenarios))
-        copy_driver_inputs(world.floats, world.flags, e, self.attachment.sees_start_of_step, begin, own, others)
+        copy_driver_inputs(world.floats, world.flags, e, self.attached_driver.sees_start_of_step, begin, own, others)
         distance, x, y, heading, speed, acceleration, target_speed = own
         others_x, others_y, others_heading, others_speed = others.transpose(0, 2, 1)
         others_length, others_width, others_center_x = self._others_boxes.copy()

@@ -23,7 +23,7 @@ class FrictionAction(Action):
     def start(self, world: World, where: BoolArray) -> None:
         world.friction[where] = self._friction[where]
         drivers = [driver for driver in world.drivers if isinstance(driver, DriverControl)]
-        if all(driver.attachment.vehicle is None for driver in drivers):
+        if all(driver.attached_driver.vehicle is None for driver in drivers):
             subject, reason = (
                 "frictionScaleFactor of <RoadCondition>",
                 "no entity has a vehicle model, on which it acts",

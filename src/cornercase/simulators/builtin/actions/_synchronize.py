@@ -19,7 +19,7 @@ from cornercase.simulators.builtin.kernels._synchronize import (
 )
 from cornercase.simulators.builtin.paths._positions import read_entity_index, read_position
 from cornercase.simulators.builtin.tracks._track import Pose
-from cornercase.simulators.builtin.world._entity_distances import locate_target
+from cornercase.simulators.builtin.world._entity_distances import locate_target_on_track
 from cornercase.simulators.builtin.world._road_position import locate_on_road
 from cornercase.simulators.builtin.world._world import LONGITUDINAL, World
 
@@ -103,7 +103,7 @@ class SynchronizeAction(CompiledAction):
     def look_up_positions(self, world: World, where: BoolArray) -> None:
         target = Pose(self._x, self._y, np.zeros(world.scenarios), road=self._road, s=self._s)
         master = Pose(self._x_master, self._y_master, target.heading, road=self._road_master, s=self._s_master)
-        locate_target(world, self._entity, target, self._track, self._place, where)
-        locate_target(world, self._master, master, self._track_master, self._place_master, where)
+        locate_target_on_track(world, self._entity, target, self._track, self._place, where)
+        locate_target_on_track(world, self._master, master, self._track_master, self._place_master, where)
         for entity in (self._entity, self._master):
             locate_on_road(world, entity, where)

@@ -14,7 +14,7 @@ from numba import types
 from cornercase._common.numba.kernel import kernel
 from cornercase._common.numba.late import LateKernels
 from cornercase._common.numba.pointers import call_for_int
-from cornercase._common.numba.references import reference_to
+from cornercase._common.numba.tuple_pointers import reference_to
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.simulators.builtin.kernels._action_table import (
     ACTION_APPLIED,

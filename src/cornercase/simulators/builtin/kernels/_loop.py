@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cornercase._common.numba.kernel import kernel
-from cornercase._common.numba.references import reference_to
+from cornercase._common.numba.tuple_pointers import reference_to
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.drivers._kernels.decide import (
     change_vehicle_speed,

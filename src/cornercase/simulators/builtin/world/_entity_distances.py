@@ -16,7 +16,7 @@ from cornercase.simulators.builtin.world._world import World
 _MAX_TRACK_DISTANCE: Final = 20.0
 
 
-def locate_target(
+def locate_target_on_track(
     world: World, entity: int, target: Pose, number: FloatArray, distance: FloatArray, where: BoolArray
 ) -> None:
     """Store track and distance along it (m) of a fixed target; infinite if the track does not lead there."""

@@ -1,4 +1,4 @@
-"""References to named tuples of arrays, which kernels pass to one another.
+"""References to named tuples of arrays: pointers that kernels pass to one another.
 
 If a tuple were passed by value, each of its arrays would become seven or more arguments of each call, and compiling
 would take much longer.

@@ -11,7 +11,7 @@ from cornercase.report._collision_replies import ReplyCounts
 _SAME_TIME: Final = 0.05
 
 
-def describe_replies(counts: ReplyCounts, ego: str, other: str) -> tuple[str, tuple[str, ...]]:
+def describe_reactions(counts: ReplyCounts, ego: str, other: str) -> tuple[str, tuple[str, ...]]:
     """Describe the ego's reactions before collisions as a text, and alternatives to them as list items."""
     sentences = [*_describe_earlier_braking(counts, ego, other), *_describe_braking(counts, ego, other)]
     return " ".join(sentences), tuple(_describe_alternatives(counts, ego, other))

@@ -20,7 +20,7 @@ _CHUNK_SIZE = 256
 _GAP_TOLERANCE, _MIN_CLOSING_SPEED = 1e-3, 0.1
 
 
-class ReferencePerception:
+class RelativeMotionTracker:
     """Tracks A other entities in N scenarios from one time step to the next."""
 
     def __init__(self, scenarios: int, others: int) -> None:

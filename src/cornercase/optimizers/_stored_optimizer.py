@@ -11,7 +11,7 @@ from cornercase.optimizers._registry import OPTIMIZERS
 from cornercase.scenario import ParameterSpace
 
 
-class MissingOptimizer(Optimizer):
+class StoredOptimizer(Optimizer):
     """Stands for an optimizer that only its text in a study describes; it is equal in text, and refuses to search."""
 
     def __init__(self, text: str) -> None:
@@ -35,4 +35,4 @@ class MissingOptimizer(Optimizer):
 
 def known_optimizer(text: str) -> str | Optimizer:
     """Return the text of a registered optimizer; for any other text, what stands for the optimizer."""
-    return text if text.partition(":")[0] in OPTIMIZERS else MissingOptimizer(text)
+    return text if text.partition(":")[0] in OPTIMIZERS else StoredOptimizer(text)

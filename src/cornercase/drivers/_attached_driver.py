@@ -74,7 +74,7 @@ class Decision:
     failures: Mapping[int, SimulationError] = field(default_factory=dict)
 
 
-class Attachment:
+class AttachedDriver:
     """A driver that is attached to an entity of a simulator.
 
     `limit_notices` has a sentence without full stop for each limit that the driver exceeded: of the vehicle, or of the
