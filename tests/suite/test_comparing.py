@@ -443,6 +443,10 @@ def test_holms_correction():
     pairs = [plain_pair(k, 0.5) for k in range(3)]
     tests = [replace(one, p=p) for one, p in zip(changes_of(pairs, DISTANCE) * 2, (0.01, 0.04, 0.03), strict=False)]
     assert [one.corrected for one in holm_correct(tests)] == pytest.approx([0.03, 0.06, 0.06])
+    # The critical sets weigh as much as the others together: 0.02 (3 + 3) / 3, then 0.03 (1 + 1 + 1) and so on.
+    sets = replace(tests[0], method="critical sets", p=0.02)
+    corrected = [one.corrected for one in holm_correct([replace(tests[0], p=0.03), *tests[1:], sets])]
+    assert corrected == pytest.approx([0.09, 0.09, 0.09, 0.04])
 
 
 def plain_pair(k, new, old=1.0, point=(0.5, 0.5), **more):

@@ -60,6 +60,8 @@ MIN_REGION_FRACTION: Final = 0.01
 """Default of the smallest fraction of the space that counts as a region."""
 DEFAULT_CONFIDENCE: Final = 0.95
 """Default of the probability with which less than a bound is missed."""
+# Greatest difference of the ranks of two calibrations that count as the same.
+_MAX_RANK_DIFFERENCE: Final = 10
 # Draws whose connected regions are found in one go.
 _DRAWS_AT_ONCE: Final = 40
 
@@ -426,6 +428,21 @@ class CriticalSet:
                 other._samples, other._draw_standardized_errors(self._joint_points[0], 5), order
             )
         return fractions, other_fractions, np.clip(both, 0.0, np.minimum(fractions, other_fractions))
+
+    def draw_changes_to(self, other: CriticalSet) -> FloatArray:
+        """Draw the critical fraction of `other` less that of this set, (pairs,).
+
+        `other` is an estimate from other scenarios of the same space. Paired are independent draws whose calibrations
+        have nearly the same rank: both sets then have about as many surprises.
+        """
+        fractions, other_fractions = (
+            samples.critical_fraction[samples.order_by_calibration] for samples in (self._samples, other._samples)
+        )
+        shifts = [k for k in range(-_MAX_RANK_DIFFERENCE, _MAX_RANK_DIFFERENCE + 1) if k]
+        ranks = [np.arange(max(0, -shift), min(N_DRAWS, N_DRAWS - shift)) for shift in shifts]
+        return np.concatenate(
+            [other_fractions[rank + shift] - fractions[rank] for rank, shift in zip(ranks, shifts, strict=True)]
+        )
 
     def draw_parameter_means(self) -> FloatArray:
         """Draw the mean of each parameter over the critical set, (draws, d), in the parameters' units.

@@ -61,12 +61,13 @@ class SetDifference:
 
         Notes
         -----
-        Both sets are drawn independently. If neither is known well, the draws differ even where the sets are equal, so
-        the draws bound `gained` and `lost` from above only; the lower bound is given by the change of the critical
-        fraction.
+        How frequent surprises are depends on the scenario more than on the version, so the change comes from pairs of
+        draws whose calibrations have nearly the same rank. Apart from that, both sets are drawn independently. If
+        neither is known well, the draws differ even where the sets are equal, so the draws bound `gained` and `lost`
+        from above only; the lower bound is given by the change of the critical fraction.
         """
         old_draws, new_draws, both_draws = old.draw_overlap_with(new)
-        changes = _differences_of_draws(old_draws, new_draws)
+        changes = old.draw_changes_to(new)
         change = Estimate.from_draws(changes)
         middles: list[tuple[Estimate, Estimate, Estimate] | None] = []
         for before, after in zip(old.draw_parameter_means().T, new.draw_parameter_means().T, strict=True):

@@ -46,6 +46,11 @@ class SetSamples:
         self.joint_indices, self._joint_weights = joint_points
 
     @cached_property
+    def order_by_calibration(self) -> IntArray:
+        """Draws in ascending order of their rate of surprises, then of the other parameters of the calibration."""
+        return np.asarray(np.lexsort((self._b, self._a, self._rate)), dtype=np.int64)
+
+    @cached_property
     def joint_draws(self) -> BoolArray:
         """Whether each of the points with joint draws is critical in each draw, (m, draws)."""
         return np.asarray(self._draw_errors() <= self._critical_deviate_limits(self.joint_indices))

@@ -61,13 +61,19 @@ def mcnemar_p_value(before: BoolArray, after: BoolArray) -> float:
 def holm_correct(tests: Sequence[ChangeTest]) -> tuple[ChangeTest, ...]:
     """Correct the p-values of several tests by Holm's method; the order of the tests stays.
 
-    S. Holm, "A simple sequentially rejective multiple test procedure", Scandinavian Journal of Statistics 6 (1979).
+    The test of the critical sets has as much weight as all others together, since it alone uses all scenarios.
+
+    S. Holm, "A simple sequentially rejective multiple test procedure", Scandinavian Journal of Statistics 6 (1979),
+    section 4.
     """
-    order = np.argsort([test.p for test in tests], kind="stable").tolist()
-    corrected, smallest = list(tests), 0.0
-    for rank, k in enumerate(order):
-        smallest = max(smallest, min((len(tests) - rank) * tests[k].p, 1.0))
+    are_sets = np.array([test.method == CRITICAL_SETS_METHOD for test in tests], dtype=np.bool_)
+    weights = np.where(are_sets, max(np.count_nonzero(~are_sets), 1), 1)
+    weighted = np.array([test.p for test in tests]) / weights
+    corrected, smallest, rest = list(tests), 0.0, weights.sum()
+    for k in np.argsort(weighted, kind="stable").tolist():
+        smallest = max(smallest, min(float(rest * weighted[k]), 1.0))
         corrected[k] = replace(tests[k], corrected=smallest)
+        rest -= weights[k]
     return tuple(corrected)
 
 
