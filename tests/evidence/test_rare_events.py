@@ -175,6 +175,20 @@ def test_ten_dimensions_are_told_too(seeds):
     assert all(abs(one.value / 1e-5 - 1.0) < 0.3 for one in found)
 
 
+@pytest.mark.parametrize("seeds", at_night([2, 6], {6}))
+def test_in_twenty_dimensions_a_linear_model_leads_to_the_event(seeds):
+    """One in a hundred thousand beyond a plane; an event in a tenth of the scenarios that learn is not needed."""
+    reach = -norm.ppf(1e-5)
+
+    def score(points):
+        return reach - ndtri(np.clip(points, 1e-16, 1 - 2e-16)).sum(axis=1) / np.sqrt(20.0)
+
+    found = [estimated(space_of(20), score, 5000, seed)[0] for seed in range(seeds)]
+    assert all(abs(one.value / 1e-5 - 1.0) < 0.6 for one in found)
+    assert np.mean([one.value for one in found]) == pytest.approx(1e-5, rel=0.3)
+    assert sum(one.low <= 1e-5 <= one.high for one in found) >= seeds - 1
+
+
 def test_a_guess_from_a_study_leads_to_the_region():
     def score(points):
         return np.abs(points - 0.9).max(1) - 0.03

@@ -25,6 +25,10 @@ _PER_COEFFICIENT, _EVENTS_FACTOR = 10, 10
 _WIDE_DEVIATIONS, _WIDE_FRACTION, _FINAL_WIDE_FRACTION = (1.5, 2.5), 0.25, 0.15
 # Fractions of the frozen proposal for the parameters' distribution and for the proposals of earlier rounds.
 _FINAL_PLAIN_FRACTION, _FINAL_EARLIER_FRACTION = 0.05, 0.2
+# From these dimensions on, fractions of a round, and at the end, for the point where a linear model of the scores meets
+# the event, and the number of scenarios that give its distance.
+_MANY_DIMENSIONS = 8
+_LINEAR_FRACTION, _FINAL_LINEAR_FRACTION, _DISTANCE_SCENARIOS = 0.25, 0.1, 10
 _MAX_VALUES_WITHOUT_DIRECTION: Final = 2
 _CANDIDATES: Final = 20_000
 _N_CONSTRAINT_DRAWS: Final = 20_000
@@ -40,8 +44,9 @@ class ImportanceSampling:
     The unit cube is mapped to a space in which the parameters are standard normal. The first scenarios follow this
     normal distribution. Then, round by round, a mixture of t distributions is fitted to weighted scenarios nearest to
     the event, as many as are needed to learn it. The next round is drawn from the mixture and from wide normal
-    distributions. When events have occurred often enough, the proposal is frozen. The frozen proposal includes parts of
-    all earlier mixtures, of the wide normal distributions and of the distribution of the parameters. Later scenarios
+    distributions; from 8 dimensions on, also around the point where a linear model of the scores meets the event. When
+    events have occurred often enough, the proposal is frozen. The frozen proposal includes parts of all earlier
+    mixtures, of the other distributions of a round and of the distribution of the parameters. Later scenarios
     are independent, so the mean of the weights of the events is an unbiased estimate of their probability, whatever was
     learned before. The draws depend only on the arguments and the recorded results.
 
@@ -167,10 +172,11 @@ class ImportanceSampling:
         log_weights = self._plain_distribution.log_density(self._points) - np.logaddexp.reduce(proposals, axis=0)
         weights = np.exp(log_weights - log_weights.max())
         rng = np.random.default_rng((self._seed, 2, self._rounds))
-        fitted, ready = [], True
+        fitted, linear, ready = [], list[TMixture](), True
         for event in range(self._events):
             nearest, enough_events = self._select_nearest_to_event(event, weights)
             fitted.append((1.0 / self._events, TMixture.fit(self._points[nearest], weights[nearest], rng)))
+            linear += self._fit_linear_model(event)
             ready &= enough_events
         new = TMixture.from_parts(fitted)
         self._ready = self._ready + 1 if ready else 0
@@ -178,16 +184,49 @@ class ImportanceSampling:
         if self._ready >= 2 or count + self._size > self._learn:
             earlier = [(_FINAL_EARLIER_FRACTION / len(self._earlier), mixture) for mixture in self._earlier]
             wide = [(_FINAL_WIDE_FRACTION / len(_WIDE_DEVIATIONS), mixture) for mixture in self._wide]
-            rest = 1.0 - _FINAL_PLAIN_FRACTION - sum(share for share, _ in (*earlier, *wide))
-            self._proposal = TMixture.from_parts(
-                [(rest, new), (_FINAL_PLAIN_FRACTION, self._plain_distribution), *wide, *earlier]
-            )
+            others = [
+                (_FINAL_PLAIN_FRACTION, self._plain_distribution),
+                *wide,
+                *earlier,
+                *((_FINAL_LINEAR_FRACTION / len(linear), mixture) for mixture in linear),
+            ]
+            rest = 1.0 - sum(share for share, _ in others)
+            self._proposal = TMixture.from_parts([(rest, new), *others])
             self._frozen = True
             return
         parts = [new, *self._earlier[:1]] if self._rounds == 0 else [new]
-        wide = [(_WIDE_FRACTION / len(_WIDE_DEVIATIONS), mixture) for mixture in self._wide]
-        self._proposal = TMixture.from_parts([*(((1.0 - _WIDE_FRACTION) / len(parts), part) for part in parts), *wide])
+        others = [
+            *((_WIDE_FRACTION / len(_WIDE_DEVIATIONS), mixture) for mixture in self._wide),
+            *((_LINEAR_FRACTION / len(linear), mixture) for mixture in linear),
+        ]
+        rest = 1.0 - sum(share for share, _ in others)
+        self._proposal = TMixture.from_parts([*((rest / len(parts), part) for part in parts), *others])
         self._earlier.append(new)
+
+    def _fit_linear_model(self, event: int) -> list[TMixture]:
+        """Normal distribution around the likeliest point of an event by a linear model of the scores; at most one.
+
+        There is none with fewer than 8 dimensions, where the mixture is learned soon enough.
+
+        While the event has not occurred, the point is where the model reaches the lowest score. Least squares over the
+        half of the scenarios with the lowest scores give its direction, scenarios with scores nearest to the event its
+        distance. That is the design point of the first-order reliability method: A. M. Hasofer, N. C. Lind, "Exact and
+        invariant second-moment code format", Journal of the Engineering Mechanics Division 100 (1974).
+        """
+        finite, dimension = np.isfinite(self._scores), self._space.dimension
+        points, scores, met = self._points[finite], self._scores[finite], self._met[finite, event]
+        lowest = np.argsort(scores, kind="stable")[: max(len(scores) // 2, 2 * (dimension + 1))]
+        if dimension < _MANY_DIMENSIONS or len(lowest) < 2 * (dimension + 1):
+            return []
+        design = np.column_stack([np.ones(len(lowest)), points[lowest]])
+        slope = np.linalg.lstsq(design, scores[lowest], rcond=None)[0][1:]
+        if not (norm := float(np.linalg.norm(slope))) > 0.0:
+            return []
+        aim = scores[met].max() if met.any() else scores.min()
+        nearest = np.argsort(np.abs(scores - aim), kind="stable")[:_DISTANCE_SCENARIOS]
+        direction = -slope / norm
+        center = float((points[nearest] @ direction).mean()) * direction
+        return [TMixture(np.ones(1), center[None], np.eye(dimension)[None], np.array([np.inf]))]
 
     def _select_nearest_to_event(self, event: int, weights: FloatArray) -> tuple[BoolArray, bool]:
         """Return a mask of the scenarios nearest to an event, for the fit, and whether it occurred often enough."""
