@@ -205,6 +205,8 @@ def test_criteria_are_read():
         "missed<1.5",
         "lost<0.1",
         "missed(1.1)<0.2",
+        "missed()<0.2",
+        "overlooked()<0.2",
         "missed(0)<0.2",
         "interval(0.1)<0.2",
         "interval<-1",

@@ -226,6 +226,18 @@ def test_patience_and_what_is_known_are_counted_in_results(tmp_path):
     assert explored(tmp_path / "t.db", about(budget=400, stop_when=("interval<0.4",))).n_finished == stopped.n_finished
 
 
+def test_stop_criteria_end_it_like_a_search_with_rounds_of_one(tmp_path):
+    rule: dict[str, Any] = {"budget": 150, "stop_when": ("unvisited(0.05)<0.06",), "optimizer": "random"}
+    one_by_one = explored(tmp_path / "a.db", about(**rule))
+    meta = synthetic.about(SPACE, "distance", critical=1.0, optimizer="random", seed=7)
+    with StudyFile.create(tmp_path / "r.db", meta) as study:
+        rounds = synthetic.explorer(study, critical=1.0, batch=1, seed=7, **rule).run()
+    assert one_by_one.n_finished == rounds.n_finished < 150
+    assert one_by_one.reason == rounds.reason
+    # A second call ends at once, too.
+    assert explored(tmp_path / "a.db", about(**rule)).n_finished == rounds.n_finished
+
+
 class LastOfFiveWaits(Slow):
     """Ends the fifth scenario only when a sixth has started, so that one is pending at the second ask."""
 

@@ -61,7 +61,6 @@ class AsynchronousExplorer(ScenarioExplorer):
         self._pending_conditions: dict[int, PendingCondition] = {}
         self._new_results: list[ScenarioRecord] = []
         self._new_scores: dict[int, Any] = {}
-        self._n_results = self._rounds_checked = 0
 
     def _run_until_stop(self, bar: ProgressBar | None, check_interrupt: Callable[[], None]) -> str:
         """Run scenarios in parallel; when nothing else runs, check if runs are deterministic."""
@@ -114,8 +113,9 @@ class AsynchronousExplorer(ScenarioExplorer):
                 self._ask_tell.pending = self._points_without_audits(turn.pending)
                 self._ask_tell.ask(len(searched))
         pending = [row for row in rows if row.state == "pending"]
-        # A killed search has evaluated its stop criteria on these results; one that had ended evaluates them again.
-        self._rounds_checked = self._n_results // self._config.batch if pending else -1
+        if not pending:
+            # After the results with which the search ended, more have come.
+            self._stopping.check_again()
         self._submit_rows(stream, pending)
         return len(rows), rows[-1].round if rows else 0
 
@@ -176,20 +176,8 @@ class AsynchronousExplorer(ScenarioExplorer):
         self._new_results, self._new_scores = [], {}
 
     def _update_patience(self, scores: FloatArray) -> None:
-        self._n_results += len(scores)
         for score in scores:
             self._n_without_improvement = 0 if self._incumbent.update(score[None]) else self._n_without_improvement + 1
-
-    def _stop_criteria_reason(self) -> str | None:
-        """Return a description if all stop criteria hold, else None.
-
-        They are checked once per batch of results, as in a search with rounds.
-        """
-        rounds = self._n_results // self._config.batch
-        if rounds == self._rounds_checked:
-            return None
-        self._rounds_checked = rounds
-        return super()._stop_criteria_reason()
 
     def _points_without_audits(self, rows: Sequence[ScenarioRecord]) -> FloatArray:
         """Points of the rows that are not audits (random scenarios for assessment only), shape (p, d)."""

@@ -47,7 +47,8 @@ class StopCriteria:
         self._points, self._scores = np.zeros((0, space.dimension)), np.zeros(0)
         self._audit_points, self._audit_scores = self._points, self._scores
         self._features: list[FloatArray] = []
-        self._n_before = 0  # number of scenarios before the last results
+        self._n_before = 0  # number of scenarios before the last results, or when the criteria were checked
+        self._checks_again = False
 
     @property
     def has_criteria(self) -> bool:
@@ -74,12 +75,17 @@ class StopCriteria:
         Criteria are checked whenever the number of scenarios has grown by a tenth. When they are depends on this number
         alone, so that a study that is resumed ends like one that is not.
         """
-        if _n_checks(len(self._scores)) == _n_checks(self._n_before):
+        if _n_checks(len(self._scores)) == _n_checks(self._n_before) and not self._checks_again:
             return None
+        self._n_before, self._checks_again = len(self._scores), False
         values = self._values()
         if values is None or not all(value < rule.bound for rule, value in values):
             return None
         return " and ".join(rule.describe_value(value) for rule, value in values)
+
+    def check_again(self) -> None:
+        """Check the criteria the next time whatever the number of scenarios: a search that ended may end again."""
+        self._checks_again = True
 
     def describe_not_reached(self) -> str:
         """Continue a sentence on why the search ended: which criteria do not hold. Empty if all do."""

@@ -68,7 +68,7 @@ class StopCriterion(StopRule):
             if match["what"] not in ("missed", *_SIZED_QUANTITIES):
                 raise InputError(f"{named} only missed accepts a probability, and overlooked and unvisited a size.")
             name = "confidence" if match["what"] == "missed" else "size"
-            argument = {name: _check_fraction(match["argument"], named)} if match["argument"] else {}
+            argument = {name: _check_fraction(match["argument"], named)}
         return cls(match["what"], _check_fraction(match["below"], named), **argument)
 
     def __str__(self) -> str:
