@@ -177,7 +177,7 @@ def test_ten_dimensions_are_told_too(seeds):
 
 @pytest.mark.parametrize("seeds", at_night([2, 6], {6}))
 def test_in_twenty_dimensions_a_linear_model_leads_to_the_event(seeds):
-    """One in a hundred thousand beyond a plane; an event in a tenth of the scenarios that learn is not needed."""
+    """The event, of probability 1e-5, lies beyond a plane."""
     reach = -norm.ppf(1e-5)
 
     def score(points):

@@ -142,6 +142,7 @@ class CommitteeModel:
         features = None if features is None else features[self._tree_scenarios]
         inputs, subset = self._feature_inputs(scores, features), self._select_process_scenarios(scores)
         self._critical, self._classes = self._criterion.is_critical(scores), self._class_labels(scores, features)
+        self._labels = np.unique(self._classes)
         self._feature_models = PerBranchFeatureModels(
             points, inputs, self._classes // 2, kernels, subset, self.max_kernel_scenarios
         )
@@ -153,7 +154,7 @@ class CommitteeModel:
         critical, classes = self._combine_members(points, mean / np.hypot(deviation, self.process.kernel.noise))
         if self._trees is None:
             return critical, np.ones(len(points))
-        branches = np.unique(self._classes) // 2
+        branches = self._labels // 2
         by_branch = np.stack([classes[:, branches == branch].sum(axis=1) for branch in np.unique(branches)])
         return critical, np.minimum(by_branch.max(axis=0), 1.0)
 
@@ -165,7 +166,7 @@ class CommitteeModel:
         points = self._tree_coordinates(points)
         classes, by_member = np.empty((len(points), 0)), [np.zeros(len(points)), np.zeros(len(points)), ndtr(-t)]
         if self._trees is not None:
-            classes = self._class_probabilities(
+            classes = _class_probabilities(
                 self._trees, np.hstack([points, self._feature_models.predict_features(points)])
             )
             by_member[0] = self._critical_probability(classes)
@@ -199,7 +200,7 @@ class CommitteeModel:
         for train, test in self._train_test_folds(self._critical):
             trees, forest = self._train_trees(train, self.n_trees_per_fold)
             if trees is not None:
-                probability[test, 0] = self._critical_probability(self._class_probabilities(trees, self._columns[test]))
+                probability[test, 0] = self._critical_probability(_class_probabilities(trees, self._columns[test]))
             if forest is not None:
                 probability[test, 1] = forest.predict(self._points[test])
         return probability
@@ -256,19 +257,15 @@ class CommitteeModel:
         if self._weights[0] > 0.0:
             # Every split considers all features, since few of them tell the branches of a scenario apart.
             trees = ExtraTreesRegressor(n_trees, max_features=None, random_state=self._seed)
-            trees.fit(self._columns[indices], self._classes[indices, None] == np.unique(self._classes))
+            trees.fit(self._columns[indices], self._classes[indices, None] == self._labels)
         if self._weights[1] > 0.0:
             forest = RandomForestRegressor(n_trees, max_features="sqrt", random_state=self._seed)
             forest.fit(self._points[indices], self._critical[indices])
         return trees, forest
 
-    def _class_probabilities(self, trees: ExtraTreesRegressor, columns: FloatArray) -> FloatArray:
-        """Probabilities of the classes by trees, (m, classes)."""
-        return np.asarray(trees.predict(columns)).reshape(len(columns), -1)
-
     def _critical_probability(self, class_probabilities: FloatArray) -> FloatArray:
         """Probability of being critical: the sum over the probabilities of the critical classes."""
-        return np.asarray(np.minimum(class_probabilities[:, np.unique(self._classes) % 2 == 1].sum(axis=1), 1.0))
+        return np.asarray(np.minimum(class_probabilities[:, self._labels % 2 == 1].sum(axis=1), 1.0))
 
     def _select_tree_scenarios(self, scores: FloatArray) -> IntArray:
         """Select the scenarios that trees use: all, or a part of very many.
@@ -313,6 +310,11 @@ class CommitteeModel:
             for k, j in enumerate(self._branches):
                 classes += 2 ** (k + 1) * (features[:, j] > 0.0)
         return classes
+
+
+def _class_probabilities(trees: ExtraTreesRegressor, columns: FloatArray) -> FloatArray:
+    """Probabilities of the classes by trees, (m, classes)."""
+    return np.asarray(trees.predict(columns)).reshape(len(columns), -1)
 
 
 def _likelihoods(probabilities: FloatArray, critical: BoolArray) -> FloatArray:

@@ -313,9 +313,8 @@ class ScenarioExplorer:
         features: tuple[FloatArray, ...] = ()
         if self._uses_features or self._stopping.has_criteria:
             features = (self._read_features(searched, scores_by_id),)
-        if self._stopping.has_criteria:
-            with self._clock("judge"):
-                self._stopping.add_results(points, scores, *features)
+        with self._clock("judge"):
+            self._stopping.add_results(points, scores, *features)
         with self._clock("optimize"):
             self._ask_tell.tell(points, scores, *(features if self._uses_features else ()))
         self._update_patience(scores)
