@@ -1,6 +1,6 @@
-"""Compiled kernels, which run a scenario until its storyboard has to be evaluated in Python.
+"""Compiled functions (kernels) that run a scenario until Python has to evaluate its storyboard.
 
-Index names in all kernels: `n` scenario, `e` entity, `j` action, `row` track. `state`, `flags` and `numbers` are the
-tables of floats, booleans and integers of a scenario. Their rows are the constants of `world/_state_layout.py`, their
-columns are entities.
+Names of indices in all kernels: `n` scenario, `e` entity, `j` action, `row` track. `state`, `flags` and `numbers` are
+tables of the floats, booleans and integers of a scenario. The constants in `world/_state_layout.py` name the rows of
+these tables; the columns are entities.
 """

@@ -18,53 +18,60 @@ from cornercase._common.typing import BoolArray, FloatArray, IntArray
     SYNCHRONIZE_ACTION,
     DISTANCE_ACTION,
 ) = range(7)
-"""Types of actions. A `PYTHON_ACTION` has no kernel; only whether it runs is known here."""
+"""Types of actions. A `PYTHON_ACTION` has no kernel; kernels only know if it runs."""
 
 NEEDS_PYTHON, NEEDS_LOOKUP, ACTION_APPLIED, ACTION_ENDED, TRACK_ENDED = range(5)
-"""Outcome of an action in a frame: it has no kernel, or needs an entity located on its road after the actions before
-it; it needs an entity located on its track or road, which may be done before the frame; applied; applied, and it has
-ended; applied, and its entity needs another track."""
+"""Outcome of an action in a frame.
+
+`NEEDS_PYTHON`: it has no kernel, or an entity must be located on its road after the earlier actions of the frame.
+`NEEDS_LOOKUP`: an entity must first be located on its track or road. `ACTION_APPLIED`: it goes on. `ACTION_ENDED`: it
+was applied for the last time. `TRACK_ENDED`: it was applied for the last time, and its entity needs another track."""
 
 DYNAMICS_SHAPES: Final = ("linear", "cubic", "sinusoidal", "step")
-"""Transition shapes, indexed by their numbers in compiled code."""
+"""Shapes of transitions; compiled code uses their indices."""
 DYNAMICS_DIMENSIONS: Final = ("time", "rate", "distance")
-"""Transition dimensions, indexed by their numbers in compiled code."""
+"""Dimensions of transitions; compiled code uses their indices."""
 
 N_OPTIONS: Final = 8
-"""Number of integers that describe an action: type, entity and type-specific ones."""
+"""Number of integers that describe an action: its type, its entity, and integers that depend on the type."""
 MEMORY_SIZE: Final = 24
-"""Number of values that an action can remember of each scenario."""
+"""Number of values that an action can store for each scenario."""
 N_SAVED: Final = 8
-"""Number of these, the first ones, that can change from step to step."""
+"""Number of stored values that can change from step to step; they are the first of the `MEMORY_SIZE` values."""
 
 
 class ActionTable(NamedTuple):
-    """J actions in N scenarios, in the order in which they are applied, as arrays for kernels."""
+    """Arrays for kernels that describe J actions in N scenarios, in the order in which the actions are applied."""
 
-    options: IntArray  # (J, 8): type, entity and type-specific integers
-    memory: FloatArray  # (N, J, 24): what an action remembers of a scenario
+    options: IntArray  # (J, 8): type, entity and integers that depend on the type
+    memory: FloatArray  # (N, J, 24): values that an action stores for a scenario
     is_running: BoolArray  # (N, J)
     kernels: IntArray  # (7,): addresses of the kernels by type of action
 
 
 class CompilableAction(Protocol):
-    """An action that may have a kernel; the arrays (N,) named in `memory_attributes` belong to both."""
+    """An action that may have a kernel.
+
+    `memory_attributes` names the arrays of the action, shape (N,), that Python and the kernel share. `table_row` is the
+    row of the action in the `ActionTable`.
+    """
 
     memory_attributes: tuple[str, ...]
     table_row: int
 
     def kernel_options(self) -> tuple[int, ...]:
-        """Return type and entity of the action, and integers that depend on its type.
+        """Return the type of the action, its entity, and integers that depend on the type.
 
-        `PYTHON_ACTION` alone without a kernel.
+        An action without a kernel returns only `PYTHON_ACTION`.
         """
         ...
 
 
 def build_action_table(actions: Sequence[CompilableAction | None], n_scenarios: int, kernels: IntArray) -> ActionTable:
-    """Build the tables of actions; None stands for an action that ends at once.
+    """Build the table of actions for kernels; None stands for an action that ends at once.
 
-    The arrays in the `memory_attributes` of the actions become views of the tables.
+    The arrays named in `memory_attributes` of an action become views of the table. `kernels` are the addresses of the
+    kernels by type of action.
     """
     options = np.zeros((len(actions), N_OPTIONS), dtype=np.int64)
     memory = np.zeros((n_scenarios, len(actions), MEMORY_SIZE))

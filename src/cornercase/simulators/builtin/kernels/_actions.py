@@ -1,4 +1,4 @@
-"""Kernels that apply actions for one time step, in one scenario at a time."""
+"""Kernels that apply the actions of one scenario for one time step."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator, call-arg"
@@ -78,11 +78,11 @@ _EXTENT_TOLERANCE: Final = 1e-4
 # lane, also in bends, where lane headings are accurate to a fraction of the difference.
 _SIDEWAYS_HEADING: Final = 0.5 * math.pi - 1e-3
 
-# Rows that actions change of their own entity: those that control speed, follow a trajectory, or move laterally.
+# State rows of their entity that actions change, if they control the speed, follow a trajectory, or move laterally.
 _SPEED_ACTION_ROWS: Final = (TARGET_SPEED, SPEED, LAST_S)
 _TRAJECTORY_ACTION_ROWS: Final = (SPEED, X, Y, HEADING, DISTANCE, TURN)
 _LATERAL_ACTION_ROWS: Final = (SPEED, X, Y, HEADING, DISTANCE, TURN, OFFSET, PACE, AT_END_SINCE)
-# Number of memory values, the first ones, that usually change from step to step.
+# Number of stored values (the first ones) that usually change from step to step.
 _N_SAVED_USUALLY: Final = 4
 
 _kernel = kernel(error_model="numpy", _nrt=False)
@@ -91,7 +91,7 @@ _inlined_kernel = kernel(error_model="numpy", _nrt=False, forceinline=True)
 
 
 class SavedState(NamedTuple):
-    """State of a scenario that J actions may change, saved before each action."""
+    """State of a scenario before each of J actions is applied, from which the actions can be undone."""
 
     running: IntArray  # (J + 1,): running actions in order, then -1
     floats: FloatArray  # (J, 10)
@@ -102,7 +102,7 @@ class SavedState(NamedTuple):
 
 @kernel(error_model="numpy")
 def alloc_saved(n_actions):
-    """Allocate the saved state for the actions of a scenario."""
+    """Allocate memory for the state that is saved before each action of a scenario."""
     floats, flag = np.empty((n_actions, len(_LATERAL_ACTION_ROWS) + 1)), np.empty(n_actions, dtype=np.bool_)
     running, memory = np.empty(n_actions + 1, dtype=np.int64), np.empty((n_actions, N_SAVED))
     return SavedState(running, floats, flag, np.empty(n_actions, dtype=np.bool_), memory)
@@ -110,7 +110,7 @@ def alloc_saved(n_actions):
 
 @_inlined_kernel
 def list_running_actions(actions, saved, n):
-    """List the running actions of a scenario in `saved`."""
+    """Write the indices of the running actions of a scenario to `saved.running`, followed by -1."""
     count = 0
     for j in range(actions.options.shape[0]):
         if actions.is_running[n, j]:
@@ -123,8 +123,8 @@ def list_running_actions(actions, saved, n):
 def apply_actions(scene, tracks, roads, actions, saved, n, dt):
     """Apply all running actions of a scenario for one time step.
 
-    Returns `ACTION_APPLIED` if all were applied and go on. Otherwise returns the outcome of the first action that ends
-    or cannot be applied, and undoes all changes.
+    Returns `ACTION_APPLIED` if all actions were applied and go on. If an action ends or cannot be applied, undoes the
+    changes of all actions and returns the outcome of this action.
     """
     i = 0
     while saved.running[i] >= 0:
@@ -142,7 +142,7 @@ def apply_actions(scene, tracks, roads, actions, saved, n, dt):
 
 @_inlined_kernel
 def apply_action(scene, tracks, roads, actions, n, j, dt):
-    """Apply an action of a scenario for one time step; return the outcome, such as `ACTION_APPLIED`."""
+    """Apply an action of a scenario for one time step of `dt` s; return the outcome, such as `ACTION_APPLIED`."""
     action_type, arguments = actions.options[j, 0], (scene, tracks, roads, actions, n, j, dt)
     if action_type == PYTHON_ACTION:
         return NEEDS_PYTHON
@@ -182,7 +182,7 @@ def _save(scene, actions, saved, n, j):
     for k in range(_N_SAVED_USUALLY):
         saved.memory[j, k] = actions.memory[n, j, k]
     if action_type == SYNCHRONIZE_ACTION:
-        # It also locates its master on the road.
+        # A synchronize action also locates its master on the road.
         saved.floats[j, len(_LATERAL_ACTION_ROWS)] = state[LAST_S, master]
     elif action_type == SPEED_ACTION:
         for k in range(_N_SAVED_USUALLY, N_SAVED):
@@ -243,9 +243,10 @@ def _transition_slope(shape, fraction):
 
 @_kernel
 def _apply_speed_action(scene, actions, n, j, dt):
-    """Apply a speed action: the speed changes while the parameter grows from 0 to the span, in s.
+    """Apply a speed action for one time step, and return the outcome.
 
-    Memory: from, to, parameter, span, stretch, reached, value, rate.
+    The speed changes from a start to an end value while a parameter grows from 0 to the span, both in s. Stored values:
+    start and end speed, parameter, span, stretch factor, if the end is reached, relative value, rate.
     """
     options, memory, state = actions.options[j], actions.memory[n, j], scene.floats[n]
     e, shape, dimension, reference, factor, continuous = options[1:7]
@@ -289,17 +290,17 @@ def _apply_speed_action(scene, actions, n, j, dt):
 
 @_kernel
 def _apply_trajectory_action(scene, tracks, actions, n, j, dt):
-    """Apply an action that follows a trajectory.
+    """Apply an action that follows a trajectory for one time step, and return the outcome.
 
-    Memory: sign, whether it was oriented, clock offset, number of the trajectory among the entity's tracks. The sign is
-    -1 if the entity points against the line, so that driving forwards leads back along the line.
+    Stored values: sign, whether the file gave the heading before, clock offset in s, number of the trajectory among the
+    entity's tracks. The sign is -1 if the entity points against the line, so it drives forwards towards the start.
     """
     options, memory, state = actions.options[j], actions.memory[n, j], scene.floats[n]
     e, is_timed = options[1], options[2]
     row = tracks.rows[e, int(memory[3])]
     before, beyond = state[DISTANCE, e], 0.0
     if scene.flags[n, STEERED, e] and scene.flags[n, DRIVEN, e]:
-        # Its driver has taken it off the trajectory, or steers it to the end.
+        # The driver has left the trajectory with the entity, or steers the entity to its end.
         if scene.integers[n, TRACK, e] != int(memory[3]):
             return ACTION_ENDED
         return TRACK_ENDED if before > trajectory_length(tracks, row, n) - _EPSILON else ACTION_APPLIED
@@ -345,7 +346,10 @@ def _apply_trajectory_action(scene, tracks, actions, n, j, dt):
 
 @_kernel
 def _apply_lane_change(scene, tracks, roads, actions, n, j, dt):
-    """Apply a lane change. Memory: from, to, done, extent."""
+    """Apply a lane change for one time step, and return the outcome.
+
+    Stored values: lateral offset at start and end in m; progress and extent, both in s or m.
+    """
     options, memory, state, flags = actions.options[j], actions.memory[n, j], scene.floats[n], scene.flags[n]
     e, shape, dimension = options[1], options[2], options[3]
     track = scene.integers[n, TRACK, e]
@@ -381,7 +385,7 @@ def _apply_lane_change(scene, tracks, roads, actions, n, j, dt):
         flags[CHANGES_LANES, e] = flags[CHANGES_LANES, e] and not has_arrived
     else:
         ahead = 0.0
-    # It moves even if it was just placed; a speed set by another action in this frame applies from the next frame.
+    # The entity moves even if it was just placed. A speed set by another action in this frame counts from the next one.
     state[PACE, e] = speed
     flags[MOVED, e] = True
     previous_step = scene.last_step[n]
@@ -390,14 +394,17 @@ def _apply_lane_change(scene, tracks, roads, actions, n, j, dt):
         advance_along_track(scene, tracks, n, e, row, ahead if speed > 0.0 else -ahead if speed < 0.0 else 0.0, arrived)
     if has_arrived:
         return ACTION_ENDED
-    # It ends at the end of the road, even between lanes.
+    # At the end of the road the lane change ends, even between lanes.
     is_stuck = abs(speed) > _EPSILON and math.isfinite(state[AT_END_SINCE, e])
     return TRACK_ENDED if is_stuck else ACTION_APPLIED
 
 
 @_kernel
 def _apply_lane_offset(scene, tracks, roads, actions, n, j, dt):
-    """Apply a lane offset action. Memory: from, to, elapsed, duration."""
+    """Apply a lane offset action for one time step, and return the outcome.
+
+    Stored values: offset at start and end in m; elapsed time and duration in s.
+    """
     options, memory, state = actions.options[j], actions.memory[n, j], scene.floats[n]
     e, shape = options[1], options[2]
     begin, end, elapsed, duration = memory[0], memory[1], memory[2], memory[3]
@@ -427,11 +434,11 @@ ACTION_KERNELS: Final = LateKernels(
     },
     types.int64,
 )
-"""Kernels of the less frequent actions, by type of action."""
+"""Kernels of the less frequent types of actions, which are compiled only when needed."""
 
 
 def link_actions(scene: SimulationState, tracks: TrackTable, roads: tuple[object, ...], actions: ActionTable) -> None:
-    """Compile the kernels of all actions in a table; call it before compiled code applies them."""
+    """Compile the kernels that the actions in a table need; call this before compiled code applies actions."""
     kinds = types.int64, types.int64, types.float64
     ACTION_KERNELS.link(actions.options[:, 0].tolist(), scene, tracks, roads, actions, *kinds)
 

@@ -16,7 +16,7 @@ _kernel = kernel(error_model="numpy", _nrt=False)
 
 @kernel(error_model="numpy", _nrt=False, forceinline=True)
 def entities_overlap(scene, n, a, b):
-    """Return whether the boxes of two entities of a scenario overlap; False if one entity is absent."""
+    """Return whether the bounding boxes of two entities of a scenario overlap; False if an entity is absent."""
     state, boxes = scene.floats[n], scene.dimensions
     if not (scene.flags[n, PRESENT, a] and scene.flags[n, PRESENT, b]):
         return False
@@ -45,7 +45,7 @@ def _boxes_overlap(state, boxes, a, b):
 
 @_kernel
 def _is_separated_along(box, other):
-    """Return whether an edge of the first box separates the two boxes (separating axis theorem)."""
+    """Return whether the direction of an edge of the first box separates the two boxes (separating axis theorem)."""
     for side in range(2):
         # Corners in order: front right, front left, rear left, rear right.
         begin, end = _corner(box, side), _corner(box, side + 1)

@@ -1,4 +1,4 @@
-"""Calls from Python to kernels between the runs of the compiled loop: actions, distances and overlaps."""
+"""Calls of kernels from Python, between runs of the compiled time loop: actions, distances and overlaps."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator, attr-defined"
@@ -26,19 +26,22 @@ _NO_POINTS: Final = np.empty((2, 0))
 
 
 class CompiledWorld:
-    """Tables of a batch for kernels, and the calls that Python makes to these; refers to the world only weakly."""
+    """Access from Python to the kernels for actions, distances and overlaps in a batch of scenarios.
+
+    The world refers to this object only weakly.
+    """
 
     def __init__(
         self, world: World, scene: SimulationState, pool: TrackPool, roads: tuple[object, ...], actions: ActionTable
     ) -> None:
         self._world, self._scene, self._pool, self._roads, self._actions = world, scene, pool, roads, actions
-        # Weak, so that recordings are freed at once with whoever runs the batch.
+        # Weak, so that the recordings are freed as soon as the object that runs the batch is.
         world.compiled = proxy(self)
 
     def apply_action(self, number: int, dt: float, where: BoolArray) -> npt.NDArray[np.int64]:
         """Apply an action for one time step in the scenarios of a mask, and return the outcomes, shape (N,).
 
-        `number` is the row of the action in the table. In all other scenarios, the outcome is `ACTION_APPLIED`.
+        `number` is the row of the action in the action table. The outcome is `ACTION_APPLIED` outside the mask.
         """
         outcomes = np.full(where.shape, ACTION_APPLIED)
         tracks, scenarios = self._pool.update(self._world.tracks), np.flatnonzero(where)
@@ -49,15 +52,23 @@ class CompiledWorld:
         return outcomes
 
     def measure_to_entity(self, entity: int, other: int, distance_kind: int) -> FloatArray:
-        """Return the signed distance in m to another entity, shape (N,); `distance_kind` as in `distance_to_entity`."""
+        """Return the signed distance in m from one entity to another, shape (N,).
+
+        `distance_kind` is `EUCLIDEAN_DISTANCE`, `LONGITUDINAL_DISTANCE` or `LATERAL_DISTANCE`, plus `FREE_SPACE` for
+        the distance between boxes.
+        """
         return np.asarray(_measure(self._scene, entity, other, _NO_POINTS, distance_kind))
 
     def measure_to_point(self, entity: int, x: FloatArray, y: FloatArray, distance_kind: int) -> FloatArray:
-        """Return the signed distance in m to a point, shape (N,); `distance_kind` as in `distance_to_point`."""
+        """Return the signed distance in m from an entity to the point (x, y), shape (N,).
+
+        `distance_kind` is `EUCLIDEAN_DISTANCE`, `LONGITUDINAL_DISTANCE` or `LATERAL_DISTANCE`, plus `FREE_SPACE` for
+        the distance from the box.
+        """
         return np.asarray(_measure(self._scene, entity, -1, np.array([x, y]), distance_kind))
 
     def find_overlaps(self, entity: int, other: int) -> BoolArray:
-        """Return the scenarios in which the boxes of two entities overlap now."""
+        """Return a mask of the scenarios in which the bounding boxes of two entities overlap now."""
         return np.asarray(_measure(self._scene, entity, other, _NO_POINTS, _OVERLAP) > 0.0)
 
 

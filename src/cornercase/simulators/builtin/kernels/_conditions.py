@@ -1,4 +1,4 @@
-"""Compiled conditions: whether anything has changed that a trigger depends on."""
+"""Compiled conditions of triggers, and the check for changes that the storyboard must see."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator, call-arg"
@@ -59,16 +59,18 @@ from cornercase.simulators.builtin.world._state_layout import (
     TIME_TO_COLLISION_CONDITION,
     RELATIVE_ANGLE_CONDITION,
 ) = range(15)
-"""Kind of a leaf. `CONSTANT_CONDITION`: only the storyboard changes it; its first value says whether it holds."""
+"""Kind of a leaf condition.
+
+A `CONSTANT_CONDITION` holds if its first value is above 0; only the storyboard changes this value."""
 
 GREATER, LESS, EQUAL, GREATER_OR_EQUAL, LESS_OR_EQUAL, NOT_EQUAL = range(6)
-"""Rule of a comparison."""
+"""Rule by which a condition compares two values."""
 
 MAX_HEADING_DIFFERENCE: Final = 0.05
-"""rad; a position with an orientation is reached if the heading differs by less (esmini's value)."""
+"""rad; a position with an orientation is reached if the difference of headings is below this (esmini's value)."""
 
 N_VALUES: Final = 4
-"""Number of values of a leaf in each scenario."""
+"""Number of values that parametrize a leaf condition in each scenario."""
 
 _kernel = kernel(error_model="numpy", _nrt=False)
 # Inlined, since it is called once and passing the tables would cost more than the work.
@@ -76,27 +78,28 @@ _inlined_kernel = kernel(error_model="numpy", _nrt=False, forceinline=True)
 
 
 class LeafCondition(NamedTuple):
-    """A condition on an entity or a value, without the edge and the delay of its ``Condition``."""
+    """A condition on an entity or a value, without the edge and the delay that a ``Condition`` in a file adds."""
 
     kind: int  # `TIME_CONDITION` and so on
-    other: int = -1  # row of the other entity, or -1
+    other: int = -1  # index of the other entity, or -1
     rule: int = 0  # `GREATER` and so on
     option: int = 0  # velocity component, kind of distance, or whether a heading is tested
     values: tuple[FloatArray, ...] = ()  # each (N,)
 
 
 class ConditionSpec(NamedTuple):
-    """A ``Condition`` of a trigger in terms of leaf conditions, one for each triggering entity."""
+    """A ``Condition`` of a trigger, expressed by leaf conditions on its triggering entities."""
 
-    leaves: list[tuple[int, LeafCondition]]  # with rows of entities (-1 for none); any leaf of an entity has to hold
+    leaves: list[tuple[int, LeafCondition]]  # with indices of entities (-1: none); any leaf of an entity has to hold
     for_every_entity: bool  # whether it has to hold for all entities, not any
-    is_memoryless: bool  # whether it holds if its leaves do, without edge and delay
+    is_memoryless: bool  # whether its leaves alone decide, since it has neither edge nor delay
 
 
 class ConditionTable(NamedTuple):
-    """Conditions of N scenarios as arrays: T triggers, G groups, C conditions and L leaves.
+    """Conditions of N scenarios as arrays for kernels.
 
-    D is the number of times at which conditions change.
+    The T triggers consist of G groups, the groups of C conditions, and the conditions of L leaf conditions.
+    D is the number of delayed conditions and signal controllers, which change at known times.
     """
 
     codes: IntArray  # (L, 5): kind, entity (-1 for none), other entity, rule, option
@@ -106,10 +109,11 @@ class ConditionTable(NamedTuple):
     groups: IntArray  # (G, 2): range [first, last) of conditions
     triggers: IntArray  # (T, 3): range [first, last) of groups, whether it is independent of earlier values
     is_watched: BoolArray  # (N, T): whether something waits for the trigger
-    pending_since: FloatArray  # (N, D): time in s of the oldest change that waits for its delay; inf for none. Last,
-    # with a delay of 0, when signal controllers begin their next phases
+    # (N, D): time in s of the oldest change that waits for its delay; inf for none. Signal controllers come last: for
+    # them it is the start of the next phase, with a delay of 0.
+    pending_since: FloatArray
     delay: FloatArray  # (N, D), s
-    kernels: IntArray  # (1,): address of the kernel for less frequent kinds
+    kernels: IntArray  # (1,): address of the kernel for the less frequent kinds of leaves
 
 
 def build_condition_table(
@@ -118,10 +122,10 @@ def build_condition_table(
     delays: list[FloatArray],
     n_scenarios: int,
 ) -> ConditionTable:
-    """Build the table of conditions.
+    """Build the table of conditions for kernels.
 
-    `specs` holds the conditions of each group of each trigger, `delays` an array (N,) for each in s. `others` are
-    conditions of triggers that Python evaluates; their leaves come last.
+    `specs` holds the conditions of each group of each trigger. `others` are conditions of triggers that Python
+    evaluates; their leaves come last. `delays` has an array (N,) in s for each delayed condition and signal controller.
     """
     leaves: list[tuple[int, LeafCondition]] = []
     conditions: list[tuple[int, int, bool]] = []
@@ -157,7 +161,7 @@ def build_condition_table(
 
 
 class Watchlist(NamedTuple):
-    """Conditions of a scenario that can change before its storyboard is evaluated in Python."""
+    """Conditions of a scenario that can change before Python evaluates its storyboard the next time."""
 
     groups: IntArray  # (G + 1,): condition groups that may become true, then -1
     leaves: IntArray  # (L + 1,): leaves that may change, then -1
@@ -165,16 +169,16 @@ class Watchlist(NamedTuple):
 
 @kernel(error_model="numpy")
 def alloc_watchlist(table):
-    """Allocate a `Watchlist` for the conditions in a table."""
+    """Allocate a watchlist (conditions that can change) that is long enough for all conditions in a table."""
     groups, changing = table.groups.shape[0] + 1, table.codes.shape[0] + 1
     return Watchlist(np.empty(groups, dtype=np.int64), np.empty(changing, dtype=np.int64))
 
 
 @_kernel
 def fill_watchlist(table, watchlist, n):
-    """Select the conditions of a scenario that can change.
+    """Select the conditions of a scenario that can change before its storyboard is evaluated.
 
-    Constant ones only change when the storyboard is evaluated.
+    Constant conditions are left out, since only the storyboard changes them.
     """
     n_groups = n_leaves = 0
     for t in range(table.triggers.shape[0]):
@@ -209,7 +213,10 @@ def _is_never_met(table, n, group):
 
 @_inlined_kernel
 def is_unchanged(scene, table, watchlist, n):
-    """Return whether no trigger fires, and nothing has changed that triggers with edges or delays depend on."""
+    """Return whether Python need not evaluate the storyboard: no trigger fires, and no condition with memory changes.
+
+    Conditions with memory have an edge or a delay.
+    """
     for d in range(table.pending_since.shape[1]):
         if table.pending_since[n, d] <= scene.time[n] - table.delay[n, d] + TOLERANCE:
             return False
@@ -228,7 +235,7 @@ def is_unchanged(scene, table, watchlist, n):
 
 @_inlined_kernel
 def _group_holds(scene, table, n, group):
-    """Return whether all conditions of a group hold, each for any or for all of its entities."""
+    """Return whether all conditions of a group hold; each condition must hold for any or for all of its entities."""
     for c in range(table.groups[group, 0], table.groups[group, 1]):
         first, last, for_every = table.conditions[c]
         k, holding = first, for_every > 0
@@ -244,7 +251,7 @@ def _group_holds(scene, table, n, group):
 
 @_kernel
 def store_leaf_values(scene, table, n):
-    """Store the current values of all leaves of a scenario."""
+    """Store for all leaf conditions of a scenario whether they hold now."""
     for k in range(table.codes.shape[0]):
         if table.codes[k, 0] == COLLISION_CONDITION:
             # An action may have moved an entity since the last frame was recorded.
@@ -280,7 +287,7 @@ def leaf_holds(scene, table, n, leaf):
 
 @_kernel
 def _remaining_leaf_holds(scene, table, n, leaf):
-    """Return whether a leaf condition of a less frequent kind holds for its entity, which must be present."""
+    """Return whether a leaf condition of one of the less frequent kinds holds; its entity must be present."""
     kind, e, other = table.codes[leaf, 0], table.codes[leaf, 1], table.codes[leaf, 2]
     rule, option, values = table.codes[leaf, 3], table.codes[leaf, 4], table.values[n, leaf]
     state = scene.floats[n]
@@ -336,7 +343,7 @@ _FREQUENT_KINDS: Final = (
 
 
 def link_conditions(scene: SimulationState, table: ConditionTable) -> None:
-    """Compile the kernel for the less frequent conditions in a table; call it before compiled code evaluates them."""
+    """Compile the kernel of less frequent conditions if the table has any; call this before a compiled run."""
     are_needed = not set(table.codes[:, 0].tolist()).issubset(_FREQUENT_KINDS)
     _REMAINING_KERNEL.link([0] if are_needed else [], scene, table, types.int64, types.int64)
 

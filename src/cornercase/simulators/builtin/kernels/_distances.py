@@ -13,23 +13,23 @@ from cornercase.simulators.builtin.kernels._simulation_state import CENTER_X, LE
 from cornercase.simulators.builtin.world._state_layout import GONE_X, GONE_Y, HEADING, SPEED, X, Y
 
 MAGNITUDE, LONGITUDINAL_COMPONENT, LATERAL_COMPONENT, VERTICAL_COMPONENT = range(4)
-"""Component of a velocity."""
+"""Component of a velocity or an acceleration."""
 
 EUCLIDEAN_DISTANCE, LONGITUDINAL_DISTANCE, LATERAL_DISTANCE = range(3)
-"""Kind of distance, seen from the entity; add `FREE_SPACE` for the distance between boxes."""
+"""Kind of distance, along the axes of the entity; add `FREE_SPACE` for the distance between bounding boxes."""
 FREE_SPACE: Final = 3
 
 TOLERANCE: Final = 1e-6
-"""Tolerance of comparisons."""
+"""Tolerance of comparisons, in the unit of the values."""
 
 _kernel = kernel(error_model="numpy", _nrt=False)
 
 
 @_kernel
 def vector_component(state, x_row, y_row, e, axes_entity, option):
-    """Return a component of a vector of entity `e`, along the axes of another entity.
+    """Return a component of a vector of entity `e`, along the axes of the entity `axes_entity`.
 
-    `x_row` and `y_row` are the rows of `state` with the vector. `option` is `LONGITUDINAL_COMPONENT`,
+    `x_row` and `y_row` are the rows of `state` that hold the vector. `option` is `LONGITUDINAL_COMPONENT`,
     `LATERAL_COMPONENT` or `VERTICAL_COMPONENT`.
     """
     cos, sin = math.cos(state[HEADING, axes_entity]), math.sin(state[HEADING, axes_entity])
@@ -40,7 +40,7 @@ def vector_component(state, x_row, y_row, e, axes_entity, option):
 
 @_kernel
 def closing_speed(state, e, other):
-    """Return the speed in m/s at which `e` closes the gap to another entity, along the other's direction of motion."""
+    """Return the speed in m/s at which `e` approaches another entity, along that entity's direction of motion."""
     x, y = state[GONE_X, other], state[GONE_Y, other]
     if abs(x) < TOLERANCE and abs(y) < TOLERANCE:
         return state[SPEED, e]
@@ -51,10 +51,10 @@ def closing_speed(state, e, other):
 
 @_kernel
 def distance_to_entity(scene, n, e, other, distance_kind):
-    """Return the signed distance in m from `e` to another entity.
+    """Return the signed distance in m from entity `e` to another entity.
 
-    It is negative if the other is behind, or to the right for a lateral distance. All distance kinds are supported
-    except the Euclidean distance between boxes.
+    The distance is negative if the other entity is behind, or to the right for a lateral distance. All kinds of
+    distances are supported except the Euclidean distance between boxes.
     """
     state = scene.floats[n]
     cos, sin = math.cos(state[HEADING, e]), math.sin(state[HEADING, e])
@@ -74,9 +74,9 @@ def distance_to_entity(scene, n, e, other, distance_kind):
 
 @_kernel
 def _box_extent(scene, n, e, other, is_lateral):
-    """Return the range of coordinates of another's box relative to the centre of `e`.
+    """Return the smallest and largest coordinate of the box of another entity, in m from the centre of the box of `e`.
 
-    The coordinates are positive to the left if `is_lateral`, otherwise ahead.
+    The coordinate is positive to the left of `e` if `is_lateral`, otherwise positive ahead.
     """
     state, boxes = scene.floats[n], scene.dimensions
     cos, sin = math.cos(state[HEADING, e]), math.sin(state[HEADING, e])
@@ -96,7 +96,10 @@ def _box_extent(scene, n, e, other, is_lateral):
 
 @_kernel
 def distance_to_point(scene, n, e, x, y, distance_kind):
-    """Return the signed distance in m from `e` to a point: negative behind, or to the right for a lateral distance."""
+    """Return the signed distance in m from entity `e` to a point.
+
+    The distance is negative if the point is behind, or to the right for a lateral distance.
+    """
     state, dimensions, is_free_space = scene.floats[n], scene.dimensions[e], distance_kind >= FREE_SPACE
     dx, dy = x - state[X, e], y - state[Y, e]
     cos, sin = math.cos(state[HEADING, e]), math.sin(state[HEADING, e])

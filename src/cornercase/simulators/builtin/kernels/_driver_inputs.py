@@ -1,4 +1,4 @@
-"""Copy the state that a driver in Python gets."""
+"""Copy the state of entities for a driver that runs in Python."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -27,21 +27,21 @@ from cornercase.simulators.builtin.world._state_layout import (
 )
 
 OWN_ROWS: Final = (DISTANCE, X, Y, HEADING, SPEED, ACCELERATION, TARGET_SPEED)
-"""What a driver is given of its own entity, as rows of `World.floats`."""
+"""Rows of `World.floats` that a driver receives for its own entity."""
 OTHERS_ROWS: Final = (X, Y, HEADING, SPEED)
-"""What a driver is given of the others, as rows of `World.floats`."""
-# What takes their place if they are to be those at the start of the step, where the entity has not jumped; the speed
-# has no such place of the own entity, whose actions change it after its driver was asked.
+"""Rows of `World.floats` that a driver receives for all other entities."""
+# Rows with the values of `OTHERS_ROWS` at the start of the step, for an entity that has not jumped. Not used for the
+# speed of the own entity, since actions change it only after the driver was asked.
 _STARTS: Final = (FROM_X, FROM_Y, FROM_HEADING, BEFORE)
 
 
 @kernel(interpreted_seconds=lambda floats, *_: 1e-5 * floats.shape[0] * floats.shape[2], error_model="numpy")
 def copy_driver_inputs(floats, flags, entity, is_at_start, begin, own, others):
-    """Copy the state of an entity to `own` (7, N), and that of A other entities to `others` (4, A, N).
+    """Copy the state of an entity to `own` (7, N), and the state of the A other entities to `others` (4, A, N).
 
-    It is NaN for entities that the driven entity cannot see, since they are absent or hidden by an action. Actions may
-    have moved entities in this step already: with `is_at_start`, the poses and the speeds of the others are those at
-    the start of the step. `begin` (3, N) is the entity's own pose then in either case.
+    Entities that are absent or hidden by an action get NaN. Actions may have moved entities in this step already. With
+    `is_at_start`, all poses and the speeds of the other entities are copied as at the start of the step. `begin` (3, N)
+    always receives the entity's own pose at the start of the step.
     """
     for n in range(floats.shape[0]):
         for q in range(len(OWN_ROWS)):

@@ -1,4 +1,4 @@
-"""The compiled time loop: runs scenarios until Python has to evaluate a storyboard or to ask a driver."""
+"""The compiled time loop, which runs scenarios until Python has to evaluate a storyboard or to ask a driver."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator, call-arg"
@@ -66,30 +66,34 @@ from cornercase.simulators.builtin.world._state_layout import (
     NEEDS_LOOKUP_ACT,
     NEEDS_LOOKUP_MOVE,
 ) = range(12)
-"""State of a scenario in the loop. It has ended early (`IDLE`). It runs if its storyboard is evaluated (`ACT`), if its
-actions are applied, too (`ACTIONS_DONE`), or if nothing happens (`MOVE`). `EVALUATE_LEAVES` asks only for the values of
-all leaves of conditions, and leaves it idle. It has stopped because it is finished; its storyboard has to be evaluated;
-a driver has to be asked in Python, after its actions; an action ends or cannot be applied; an entity needs the next
-part of its lane path, or may have left its lane; or an entity has to be located on its road before the actions are
-applied, or before it moves on."""
+"""State of a scenario in the loop.
+
+The loop skips a scenario in the state `IDLE`. The loop runs a scenario from three states: `ACT` (the storyboard of the
+frame has been evaluated), `ACTIONS_DONE` (the actions of the frame have been applied, too) and `MOVE` (the next frame
+needs no storyboard so far). In the state `EVALUATE_LEAVES`, the loop only evaluates all leaf conditions.
+
+All other states say why a scenario has stopped. `FINISHED`: it has ended. `NEEDS_STORYBOARD`: Python has to evaluate
+the storyboard. `NEEDS_DRIVER`: Python has to ask a driver. `ACTION_ENDED`: an action ends or cannot be applied.
+`NEEDS_LANE`: an entity needs the next part of its lane path, or may have left its lane. `NEEDS_LOOKUP_ACT` and
+`NEEDS_LOOKUP_MOVE`: Python has to locate an entity on its road; then the scenario goes on as in `ACT` or `MOVE`."""
 
 _kernel = kernel(error_model="numpy", _nrt=False)
-# Inlined: passing the tables would cost more than the work, and code that is called once does not grow.
+# Inlined: passing the tables would take longer than the work. The code does not grow, since each is called once.
 _inlined_kernel = kernel(error_model="numpy", _nrt=False, forceinline=True)
 
 
 class LoopState(NamedTuple):
-    """State of the loop for N scenarios."""
+    """State of the time loop for N scenarios and D drivers."""
 
     status: npt.NDArray[np.int8]  # (N,): `ACT` and so on
-    evaluates_each_frame: BoolArray  # (N,): whether the storyboard has to be evaluated in each frame
+    evaluates_each_frame: BoolArray  # (N,): whether Python has to evaluate the storyboard in each frame
     driven_entities: IntArray  # (D,): entity of each driver
-    next_driver: IntArray  # (N,): driver to decide next in the frame; D for the coupling
+    next_driver: IntArray  # (N,): driver that decides next in the frame; D for another simulator that moves entities
     may_have_left_lane: BoolArray  # (N,): whether an entity that was steered in the frame may have left its lane
 
 
 class LoopOptions(NamedTuple):
-    """Options of the loop."""
+    """Options of the time loop."""
 
     time_step: float  # s
     max_frames: int  # maximum number of frames
@@ -98,7 +102,7 @@ class LoopOptions(NamedTuple):
 
 
 class Buffers(NamedTuple):
-    """Buffers of a thread that runs scenarios [first, last) of E entities, one after the other."""
+    """Buffers of a thread that runs the scenarios [first, last) with E entities one after the other."""
 
     first: int
     last: int
@@ -107,14 +111,16 @@ class Buffers(NamedTuple):
     activity: npt.NDArray[np.int8]  # (E,): `AWAKE` and so on
     visible_entities: FloatArray  # (4, E - 1): x, y, heading and speed of entities that a driver may see
     driver_workspace: Workspace  # of a driver
-    motion: FloatArray  # (5,): of a vehicle that steers
+    motion: FloatArray  # (5,): x, y, heading, speed and acceleration of a vehicle that steers
 
 
 @kernel(error_model="numpy")
 def run_until_storyboard(scene, tracks, roads, fleet, actions, conditions, loop, options, first, last):
-    """Run scenarios [first, last), each until its storyboard must be evaluated or one of its drivers must be asked.
+    """Run the scenarios [first, last), each until it has ended or Python has to do something for it.
 
-    Scenarios do not affect each other, so results do not depend on how they are distributed to threads.
+    Python evaluates storyboards, asks drivers without compiled code, and looks up lanes and roads for entities.
+
+    Scenarios do not affect each other, so the number of threads does not change the results.
     """
     entities = scene.floats.shape[2]
     saved, rest = alloc_saved(actions.options.shape[0]), np.empty(entities, dtype=np.int8)
@@ -133,7 +139,7 @@ def run_until_storyboard(scene, tracks, roads, fleet, actions, conditions, loop,
     )
 
 
-# In a kernel that allocates, numba would count references of each array, in each frame, with atomic operations.
+# A kernel of its own, since in a kernel that allocates, numba counts the references of all arrays in each frame.
 @_kernel
 def _run_scenarios(scene, tracks, roads, fleet, actions, conditions, loop, options, buffers):
     for n in range(buffers.first, buffers.last):
@@ -176,7 +182,7 @@ def _run_scenarios(scene, tracks, roads, fleet, actions, conditions, loop, optio
 
 @_inlined_kernel
 def _list_actions_and_wake_entities(scene, actions, loop, n, buffers):
-    """List the running actions, note who is moved by something else than itself, and wake all entities."""
+    """List the running actions, and mark each entity as moved by an action, driver or vehicle, or else as awake."""
     rest, running = buffers.activity, buffers.saved.running
     for e in range(rest.size):
         rest[e] = AWAKE
@@ -194,7 +200,7 @@ def _list_actions_and_wake_entities(scene, actions, loop, n, buffers):
 
 @_inlined_kernel
 def _finish_frame(scene, tracks, fleet, loop, options, n, dt, buffers):
-    """Do the part of a frame after the storyboard: drivers, motion, recording. Return the new state."""
+    """Let drivers decide, move all entities and record the frame; return the new state of the scenario."""
     if dt > 0.0:
         d, drivers = loop.next_driver[n], loop.driven_entities.shape[0]
         while d < drivers:
@@ -220,7 +226,10 @@ def _finish_frame(scene, tracks, fleet, loop, options, n, dt, buffers):
 
 @_inlined_kernel
 def _is_in_charge(scene, tracks, n, driver, e):
-    """Whether a driver decides the speed of its entity; a trajectory with times leaves it nothing to decide."""
+    """Return whether a driver decides the speed of entity `e` now.
+
+    On a trajectory with times, no driver decides, since the times give the speed.
+    """
     flags, numbers = scene.flags[n], scene.integers[n]
     is_driving = flags[PRESENT, e] and flags[DRIVEN, e] and numbers[DRIVER, e] == driver and numbers[TRACK, e] >= 0
     return is_driving and not tracks.has_times[tracks.rows[e, numbers[TRACK, e]]]
@@ -228,7 +237,10 @@ def _is_in_charge(scene, tracks, n, driver, e):
 
 @_inlined_kernel
 def _is_moved_here(scene, tracks, fleet, n, driver, e):
-    """Whether kernels move a driven entity; one that is steered only along lanes."""
+    """Return whether kernels can move a driven entity instead of Python.
+
+    The driver has to be compiled. Kernels steer a vehicle along lanes only.
+    """
     if fleet.kind[driver] == NOT_COMPILED:
         return False
     lane = tracks.rows[e, scene.integers[n, TRACK, e]]
@@ -237,7 +249,7 @@ def _is_moved_here(scene, tracks, fleet, n, driver, e):
 
 @_inlined_kernel
 def _apply_driver(scene, tracks, fleet, n, driver, e, dt, buffers):
-    """Let a compiled driver in charge move its entity, or set its speed at the end of the time step.
+    """Let a compiled driver steer its entity, or set the entity's speed at the end of the time step.
 
     Returns whether the entity may have left its lane.
     """
@@ -262,7 +274,7 @@ def _apply_driver(scene, tracks, fleet, n, driver, e, dt, buffers):
     if fleet.first_vehicle[driver] < 0:
         state[SPEED, e] = min(max(speed + acceleration * dt, 0.0), scene.dimensions[e, MAX_SPEED])
         return False
-    # As for any driver; one plans within these limits only where it does not go backwards.
+    # These limits apply to any driver. A driver that plans ahead may exceed them if its entity goes backwards.
     acceleration = min(max(acceleration, -scene.dimensions[e, MAX_DECELERATION]), scene.dimensions[e, MAX_ACCELERATION])
     if has_steered_vehicle(fleet, driver):
         return steer_along_lane(scene, tracks, fleet, n, driver, e, acceleration, dt, buffers.motion)

@@ -49,10 +49,10 @@ from cornercase.simulators.builtin.world._state_layout import (
 )
 
 EXTERNALLY_MOVED, AWAKE, SETTLED, RESTING = range(4)
-"""Activity of an entity: moved by an action, a driver or a vehicle that tows it; moving by itself; unchanged on its
-track in the last frame; at rest, so that frames change nothing."""
+"""Activity of an entity. `EXTERNALLY_MOVED`: moved by an action, by a driver or by a vehicle that tows it. `AWAKE`:
+moves by itself. `SETTLED`: has not moved along its track in the last frame. `RESTING`: frames change nothing."""
 
-# m; an entity this close to the end of a road is at the end.
+# m; an entity that is closer to the end of a road counts as at the end.
 _END_TOLERANCE: Final = 1e-3
 # m/s; an entity that is slower stands still.
 _STANDSTILL_SPEED: Final = 1e-6
@@ -66,10 +66,10 @@ _inlined_kernel = kernel(error_model="numpy", _nrt=False, forceinline=True)
 
 @_inlined_kernel
 def move_entities(scene, tracks, n, dt, activity):
-    """Move all entities of a scenario by one time step at their present speeds, and advance its clock.
+    """Move all entities of a scenario by one time step at their present speeds, and advance the clock by `dt` s.
 
-    With `dt` 0, entities are only placed on their tracks. `activity` (E,) is updated. Returns whether an entity is near
-    the end of its lane path, and the lanes go on there.
+    With `dt` 0, entities are only placed on their tracks. Updates `activity` (E,), which is `AWAKE` and so on. Returns
+    whether an entity needs the next part of its lane path.
     """
     state, flags, numbers = scene.floats[n], scene.flags[n], scene.integers[n]
     entities, needs_lane = state.shape[1], False
@@ -114,7 +114,7 @@ def move_entities(scene, tracks, n, dt, activity):
 
 @_inlined_kernel
 def _is_resting(state, flags, e):
-    """Return whether an entity did not move, in this step and before, so that the next frame has the same result."""
+    """Return whether an entity has not moved in this step nor in the step before, so the next frame changes nothing."""
     is_moving = (
         state[SPEED, e] != 0.0 or state[VELOCITY, e] != 0.0 or state[GONE_X, e] != 0.0 or state[GONE_Y, e] != 0.0
     )
@@ -142,7 +142,7 @@ def _move_along_track(scene, tracks, n, e, row, dt):
 
 @_kernel
 def advance_along_track(scene, tracks, n, e, row, step, arrival_time):
-    """Move an entity along its track by `step` m (negative: backwards), and to its lateral offset.
+    """Move an entity along its track by `step` m (negative: backwards), and place it at its lateral offset.
 
     `arrival_time` is the time in s that is stored as its arrival if it reaches the end of the road.
     """
@@ -161,7 +161,7 @@ def advance_along_track(scene, tracks, n, e, row, step, arrival_time):
 
 @_kernel
 def place_on_track(scene, tracks, n, e, row):
-    """Set an entity's pose from its distance and offset on its track."""
+    """Set the pose of an entity from its distance along its track and its lateral offset."""
     state = scene.floats[n]
     x, y, heading = pose_on_track(tracks, row, n, state[DISTANCE, e], state[OFFSET, e])
     state[X, e], state[Y, e], state[HEADING, e] = x, y, heading + state[TURN, e]
@@ -169,7 +169,7 @@ def place_on_track(scene, tracks, n, e, row):
 
 @_kernel
 def set_speed(scene, n, e, speed):
-    """Set an entity's speed in m/s; if a driver controls the entity, set the driver's target speed instead."""
+    """Set the target speed of an entity in m/s, and also its speed unless a driver controls the entity."""
     state, flags = scene.floats[n], scene.flags[n]
     state[TARGET_SPEED, e] = speed
     if not flags[DRIVEN, e]:
@@ -179,7 +179,7 @@ def set_speed(scene, n, e, speed):
 
 @_inlined_kernel
 def _stop_at_road_ends(scene, tracks, n, dt, activity):
-    """Stop each entity that is at the end of its road and did not move in the last step, as esmini does."""
+    """Set the speed of each entity to 0 that is at the end of its road and did not move in the last step, as esmini."""
     state, flags = scene.floats[n], scene.flags[n]
     for e in range(state.shape[1]):
         if activity[e] == RESTING or not (flags[PRESENT, e] and state[AT_END_SINCE, e] < scene.time[n] + 0.5 * dt):
@@ -192,7 +192,7 @@ def _stop_at_road_ends(scene, tracks, n, dt, activity):
 
 @_kernel
 def _move_trailer(scene, n, tow):
-    """Move a trailer behind its vehicle; its axle follows the hitch as if pulled by a rod."""
+    """Move a trailer behind its vehicle; the axle of the trailer follows the hitch as if pulled by a rod."""
     state, flags = scene.floats[n], scene.flags[n]
     e, trailer = int(scene.trailers[tow, 0]), int(scene.trailers[tow, 1])
     hitch, coupler = scene.trailers[tow, 2], scene.trailers[tow, 3]
@@ -210,7 +210,7 @@ def _move_trailer(scene, n, tow):
 
 @_inlined_kernel
 def _update_kinematics(state, flags, e, dt):
-    """Update velocity, acceleration and odometer of an entity from its displacement."""
+    """Update velocity, acceleration and odometer of an entity from its displacement in the last step."""
     if not dt > 0.0:
         state[GONE_X, e], state[GONE_Y, e] = _velocity_along_heading(state, e)
         return
@@ -226,7 +226,7 @@ def _update_kinematics(state, flags, e, dt):
     state[PULL_X, e], state[PULL_Y, e] = (state[GONE_X, e] - previous_x) / dt, (state[GONE_Y, e] - previous_y) / dt
     state[ODOMETER, e] += chord
     state[VELOCITY, e] = chord / dt
-    # As in esmini, a standing entity that is only moved sideways gets that speed.
+    # As in esmini, a standing entity that only moves sideways gets its lateral velocity as speed.
     if (
         abs(state[SPEED, e]) < _STANDSTILL_SPEED
         and state[VELOCITY, e] > _MIN_DRIFT_SPEED
@@ -244,8 +244,7 @@ def _velocity_along_heading(state, e):
 def record_frame(scene, n, first_scenario, dt, activity):
     """Record the state of all entities of a scenario; return whether a collision has begun.
 
-    `first_scenario` is the first of the scenarios that run together with scenario `n`. `activity` is as in
-    `move_entities`.
+    `first_scenario` is the first of the scenarios that the same thread runs. `activity` (E,) is `AWAKE` and so on.
     """
     state, flags, numbers, frame = scene.floats[n], scene.flags[n], scene.integers[n], scene.n_frames[n]
     entities = state.shape[1]

@@ -1,4 +1,4 @@
-"""Copy recordings from the pages in which kernels store them."""
+"""Copy recorded motion from the blocks (pages) in which kernels store it."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator, call-arg, var-annotated"
@@ -20,9 +20,10 @@ from cornercase.simulators.builtin.kernels._simulation_state import PAGE_LENGTH,
 def copy_motion(
     scene: SimulationState, scenarios: IntArray, gil_lock: Lock | None
 ) -> tuple[list[FloatArray], BoolArray]:
-    """Return the motion of S scenarios, arrays (5, E, T); and which scenarios had any entity placed, (S,).
+    """Return the recorded motion of scenarios, and a mask of the scenarios in which any entity was ever present.
 
-    `gil_lock` is released while compiled code runs.
+    The motion of each scenario is an array of x, y, heading, speed and acceleration, by entity and frame. `gil_lock` is
+    released while compiled code runs.
     """
     shape = len(RECORDED_QUANTITIES), scene.pages.shape[2]
     motion = [np.empty((*shape, instants)) for instants in scene.n_frames[scenarios].tolist()]

@@ -1,4 +1,4 @@
-"""Run the compiled time loop; or interpret it for a few scenarios, if it has not been compiled on this machine."""
+"""Run the compiled time loop, or interpret the loop for a few scenarios if it is not compiled on this machine yet."""
 
 # Kernels are declared as plain functions, without the methods of their dispatcher.
 # mypy: disable-error-code="attr-defined"
@@ -29,7 +29,10 @@ def run_scenarios(
     first: int,
     last: int,
 ) -> None:
-    """Call `run_until_storyboard` for scenarios; interpret it one by one while that is faster than compiling it."""
+    """Call `run_until_storyboard` for the scenarios [first, last).
+
+    If this kernel is not compiled yet, Python interprets it scenario by scenario while that takes less time.
+    """
     arguments = (scene, tracks, roads, fleet, actions, conditions, loop, options, first, last)
     if not can_interpret(0.0, is_loop=True) or run_until_storyboard.is_ready(*arguments):
         link_kernels(*arguments[:6])
@@ -55,7 +58,7 @@ def run_scenarios(
 
 
 def link_kernels(scene: Any, tracks: Any, roads: Any, fleet: Any, actions: Any, conditions: Any) -> None:
-    """Compile what the loop needs of drivers, actions and conditions; call it before a compiled run."""
+    """Compile the kernels of drivers, actions and conditions that the time loop calls; needed before a compiled run."""
     link_drivers(fleet)
     link_actions(scene, tracks, roads, actions)
     link_conditions(scene, conditions)

@@ -1,4 +1,4 @@
-"""State and recordings of a batch, as arrays for kernels."""
+"""State and recordings of a batch of scenarios, as arrays for kernels."""
 
 from __future__ import annotations
 
@@ -10,26 +10,26 @@ from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.simulators.builtin.world._world import World
 
 LENGTH, WIDTH, CENTER_X, MAX_SPEED, MAX_ACCELERATION, MAX_DECELERATION, MAX_EXTENT = range(7)
-"""Constant properties of an entity: columns of `dimensions`. The last is how far the box reaches from the pose."""
+"""Columns of `SimulationState.dimensions`. `MAX_EXTENT` is the largest distance from the reference point to the box."""
 
 RECORDED_QUANTITIES: Final = ("x", "y", "heading", "speed", "acceleration")
 """Recorded quantities of an entity, in this order."""
 
 PAGE_LENGTH: Final = 32
-"""Number of frames of a page."""
+"""Number of frames that a page (a block of a recording) holds."""
 
 
 class SimulationState(NamedTuple):
-    """State of E entities in N scenarios, and their recordings, which are stored in pages of 32 instants."""
+    """State of E entities in N scenarios, and the recordings, which are stored in blocks (pages) of 32 frames."""
 
-    floats: FloatArray  # (N, K, E): the world's table; rows as in `world/_state_layout.py`
+    floats: FloatArray  # (N, K, E): table of the world; its rows are named in `world/_state_layout.py`
     flags: BoolArray  # (N, K, E)
     integers: IntArray  # (N, K, E)
     overlaps: BoolArray  # (N, E, E)
     time: FloatArray  # (N,), s
     last_step: FloatArray  # (N,), s
-    dimensions: FloatArray  # (E, 7): columns as above, in m and s
-    trailers: FloatArray  # (T, 4): rows of vehicle and trailer; hitch and coupler in m
+    dimensions: FloatArray  # (E, 7): columns `LENGTH` to `MAX_EXTENT`, in m and s
+    trailers: FloatArray  # (T, 4): indices of vehicle and trailer; positions of hitch and coupler in m
     n_frames: IntArray  # (N,): number of recorded frames
     pages: FloatArray  # (P, 5, E, 32): recorded quantities; NaN for absent entities
     page_numbers: IntArray  # (N, R): pages of each scenario; R pages hold the maximum duration, P = R N
@@ -38,9 +38,9 @@ class SimulationState(NamedTuple):
 
 
 def make_state_arrays(world: World, max_instants: int) -> SimulationState:
-    """Create arrays for kernels that share the state of a world.
+    """Create the arrays for kernels; state arrays share their memory with the world.
 
-    `max_instants` is the largest length of a recording.
+    `max_instants` is the largest number of frames in a recording.
     """
     scenarios, entities, max_pages = world.scenarios, world.entities, -(-max_instants // PAGE_LENGTH)
     boxes = [
@@ -66,7 +66,7 @@ def make_state_arrays(world: World, max_instants: int) -> SimulationState:
         dimensions=np.array(boxes, dtype=np.float64).reshape(-1, 7),
         trailers=np.array(tows, dtype=np.float64).reshape(-1, 4),
         n_frames=np.zeros(scenarios, dtype=np.int64),
-        # Untouched memory is not allocated: many scenarios end early, so each takes the next free page as it goes.
+        # Many scenarios end early. Each takes the next free page when needed, and pages never used take no memory.
         pages=np.empty((scenarios * max_pages, len(RECORDED_QUANTITIES), len(entities), PAGE_LENGTH)),
         page_numbers=np.full((scenarios, max_pages), -1),
         n_pages_used=np.zeros(scenarios, dtype=np.int64),

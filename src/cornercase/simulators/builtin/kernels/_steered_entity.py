@@ -1,4 +1,4 @@
-"""Compiled step of an entity whose vehicle steers along a lane."""
+"""Compiled time step of an entity whose driver steers it along a lane."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator, call-arg, var-annotated"
@@ -36,10 +36,10 @@ _inlined_kernel = kernel(error_model="numpy", _nrt=False, forceinline=True)
 
 @kernel(error_model="numpy", _nrt=False)
 def steer_along_lane(scene, tracks, fleet, n, driver, e, request, dt, motion):
-    """Move an entity on a lane by one time step, as `Mover` and `move_to_pose` do for all scenarios of a batch.
+    """Move an entity that a driver steers along a lane by one time step of `dt` s, in one scenario.
 
-    `request` is the acceleration that its driver chooses, `motion` (5,) a buffer. Returns whether the entity may have
-    left its lane.
+    In Python, `Mover` and `move_to_pose` do the same for all scenarios of a batch. `request` is the acceleration in
+    m/s² that the driver chooses; `motion` (5,) is a buffer. Returns whether the entity may have left its lane.
     """
     state, flags = scene.floats[n], scene.flags[n]
     track = scene.integers[n, TRACK, e]
@@ -73,7 +73,10 @@ def steer_along_lane(scene, tracks, fleet, n, driver, e, request, dt, motion):
 
 @_inlined_kernel
 def _may_have_left(tracks, lane, half_widths, distance, offset):
-    """Whether an entity is beside the samples of its lane; `half_widths` is the address of half the lane's width."""
+    """Return whether an entity may be beyond the edge of its lane; True if the width of the lane is not known.
+
+    `half_widths` is the memory address of half the width at each sample of the lane, or 0.
+    """
     if half_widths == 0:
         return True
     count = tracks.size[lane]

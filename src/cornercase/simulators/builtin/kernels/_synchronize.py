@@ -1,4 +1,4 @@
-"""Kernels of actions that synchronize an entity with another, or keep a distance to it."""
+"""Kernels of actions that synchronize an entity with another entity, or keep a distance to another entity."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -38,29 +38,30 @@ from cornercase.simulators.builtin.world._state_layout import (
 )
 
 NOT_STARTED, FIRST_PHASE, LAST_PHASE, WAITING_FOR_MASTER, HARD_BRAKING, STANDING_STILL, AT_FINAL_SPEED = range(7)
-"""Phase of a synchronization: not started; first of two phases of constant acceleration, below or above the mean speed;
-last phase; waiting for the master to move; braking hard; standing until the last phase begins; going on at the final
-speed."""
+"""Phase of a synchronization with another entity (the master).
+
+`FIRST_PHASE` and `LAST_PHASE` have constant acceleration. `HARD_BRAKING` is used if the distance is too short for
+anything else. `STANDING_STILL` lasts until the last phase begins. In `AT_FINAL_SPEED`, the entity keeps this speed."""
 
 NO_FINAL_SPEED, ABSOLUTE_FINAL_SPEED, FINAL_SPEED_DIFFERENCE, FINAL_SPEED_FACTOR = range(4)
-"""Kind of an action's final speed: none, absolute, difference to the master's, factor of the master's."""
+"""Final speed of an action: none, absolute, as difference to the master's speed, or as factor of this speed."""
 
 NEVER_ARRIVES: Final = 1e10
-"""s; arrival time of a master that does not approach."""
+"""s; arrival time of a master that does not approach its destination."""
 MAX_BRAKING: Final = 8.0
-"""m/s²; deceleration of an entity that has no room for anything else (esmini's value)."""
+"""m/s²; deceleration of an entity if the distance is too short for anything else (esmini's value)."""
 PASSED_TOLERANCE: Final = 1e-3
-"""m; an entity whose distance has grown by more than this in a step has passed its destination."""
+"""m; if the distance to the destination grows by more than this in a step, the entity has passed the destination."""
 PHASE_SPEED_TOLERANCE: Final = 0.1
-"""m/s; the last phase begins if the speed differs from its speed by less."""
+"""m/s; the last phase begins if the speed differs by less from the speed at which this phase has to begin."""
 DISTANCE_TOLERANCE: Final = 0.1
-"""m; tolerance within which a distance is reached."""
+"""m; a distance action has reached its distance if the error is smaller."""
 SPRING_STIFFNESS: Final = 0.4
-"""1/m; stiffness of the distance controller, per m/s² of maximum acceleration."""
+"""1/m; stiffness of the distance controller, divided by the maximum acceleration in m/s²."""
 
 _EPSILON: Final = 1e-6
 
-# Memory layout: phase and last distances, both destinations, final speed.
+# Indices of the values that a synchronize action stores: phase and last distances, both destinations, final speed.
 _PHASE, _IS_FASTER_FIRST, _LAST_DISTANCE, _LAST_MASTER_DISTANCE, _OWN_DESTINATION, _MASTER_DESTINATION = (
     0,
     1,
@@ -70,7 +71,7 @@ _PHASE, _IS_FASTER_FIRST, _LAST_DISTANCE, _LAST_MASTER_DISTANCE, _OWN_DESTINATIO
     11,
 )
 _STEADY_DISTANCE, _STEADY_TIME, _FINAL_SPEED, _IS_LOCATED = 18, 19, 20, 21
-# Offsets within each destination.
+# Indices relative to the first value of a destination.
 _X, _Y, _ROAD, _S, _TRACK, _DISTANCE_ON_TRACK, _TOLERANCE = range(7)
 
 (
@@ -90,7 +91,10 @@ _kernel = kernel(error_model="numpy", _nrt=False)
 
 @kernel(error_model="numpy", _nrt=False)
 def apply_synchronize_action(scene, tracks, roads, actions, n, j, dt):
-    """Apply a `SynchronizeAction` for one time step, and return the outcome."""
+    """Apply a `SynchronizeAction` for one time step, and return the outcome, such as `ACTION_APPLIED`.
+
+    The action controls the speed of an entity so that it reaches its destination together with a master entity.
+    """
     e, master, final_kind = actions.options[j, 1], actions.options[j, 2], actions.options[j, 3]
     memory, state, has_driver = actions.memory[n, j], scene.floats[n], scene.flags[n, DRIVEN, e]
     outcome, distance = _distance_to_destination(scene, tracks, roads, memory, _OWN_DESTINATION, n, e)
@@ -117,7 +121,7 @@ def apply_synchronize_action(scene, tracks, roads, actions, n, j, dt):
     last_distance, last_master_distance = distance, master_distance
     distance = max(distance - memory[_OWN_DESTINATION + _TOLERANCE], _EPSILON)
     master_distance = max(master_distance - memory[_MASTER_DESTINATION + _TOLERANCE], _EPSILON)
-    # Usually it does not turn off its path.
+    # Usually the master does not turn away from its path.
     direction = signed_distance if state[TURN, master] == 0.0 else signed_distance * math.cos(state[TURN, master])
     direction = 1.0 if direction > 0.0 else -1.0 if direction < 0.0 else direction
     master_speed = _sign(state[SPEED, master]) * direction * master_speed
@@ -157,9 +161,9 @@ def apply_synchronize_action(scene, tracks, roads, actions, n, j, dt):
 
 @kernel(error_model="numpy", _nrt=False)
 def apply_distance_action(scene, tracks, roads, actions, n, j, dt):
-    """Apply a `LongitudinalDistanceAction` with limits for one time step, and return the outcome.
+    """Apply a `LongitudinalDistanceAction` with limits on the motion for one time step, and return the outcome.
 
-    The action behaves like a critically damped spring. Distances along roads are measured in Python, in each frame.
+    The action behaves like a critically damped spring. Python measures distances along roads in each frame.
     """
     e, other, continuous = actions.options[j, 1], actions.options[j, 2], actions.options[j, 3]
     between_boxes, is_time_gap, is_along_roads = actions.options[j, 4], actions.options[j, 5], actions.options[j, 6]
@@ -197,7 +201,7 @@ def _sign(speed):
 
 @_kernel
 def _road_position(scene, tracks, n, e, row):
-    """Return road and s of an entity on a lane; -1 if the entity must be located on the road first."""
+    """Return road index and s in m of an entity on a lane; road -1 if Python must locate the entity first."""
     state, flags = scene.floats[n], scene.flags[n]
     if not flags[PRESENT, e] or (flags[CHANGES_LANES, e] and not abs(state[OFFSET, e]) < MAX_LANE_OFFSET):
         return -1, 0.0
@@ -207,10 +211,11 @@ def _road_position(scene, tracks, n, e, row):
 
 @_kernel
 def _distance_to_destination(scene, tracks, roads, memory, destination, n, e):
-    """Return an outcome, and the distance in m from an entity to its destination, negative once it has passed.
+    """Return an outcome, and the distance in m from an entity to its destination (negative once passed).
 
-    The distance is measured along the road's reference line, else along the trajectory. If the entity must be located
-    on its road first, the outcome says so, since that is only possible after the earlier actions.
+    The distance is measured along the reference line if both are on the same road, otherwise along the track. Without a
+    track it is a straight line. `NEEDS_PYTHON` means that Python must locate the entity on its road after the earlier
+    actions; `NEEDS_LOOKUP` that Python must locate the destination on the track. `ACTION_APPLIED` means success.
     """
     state, track = scene.floats[n], scene.integers[n, TRACK, e]
     row = tracks.rows[e, track] if track >= 0 else -1
@@ -237,10 +242,10 @@ def _distance_to_destination(scene, tracks, roads, memory, destination, n, e):
 
 @_kernel
 def _speed_along_road(scene, tracks, roads, n, e):
-    """Return whether the speed along the road is known, and the absolute speed of the last step in m/s.
+    """Return whether the speed along the road is known, and the absolute speed along the road in m/s.
 
-    In a bend this is the speed along the chord, projected onto the direction of the road at the end of the step.
-    Without roads it is projected onto the heading.
+    This is the mean velocity of the last step, projected onto the direction of the road at the end of the step. Without
+    a road, the velocity is projected onto the heading.
     """
     state, numbers = scene.floats[n], scene.integers[n]
     track = numbers[TRACK, e]
@@ -268,7 +273,11 @@ def _speed_along_road(scene, tracks, roads, n, e):
 
 @_kernel
 def _speed_for_arrival(speed, has_driver, memory, distance, time, is_approaching, dt):
-    """Return the speed at the end of the step for arrival with one constant acceleration."""
+    """Return the speed in m/s at the end of the step, for arrival in `time` s without a given final speed.
+
+    The acceleration is constant. An entity with a driver gets the mean speed as target. If the master does not approach
+    its destination, the entity waits.
+    """
     mean_speed = distance / time
     if has_driver:
         return mean_speed
@@ -281,9 +290,9 @@ def _speed_for_arrival(speed, has_driver, memory, distance, time, is_approaching
 
 @_kernel
 def _speed_for_arrival_with_final_speed(speed, road_speed, memory, distance, time, final_speed, is_approaching, dt):
-    """Return the speed at the end of the step for arrival with a final speed.
+    """Return the speed in m/s at the end of the step, for arrival in `time` s with a given final speed.
 
-    `road_speed` is the speed along the road.
+    `road_speed` is the present speed along the road in m/s.
     """
     divisor = max(abs(final_speed), 1e-9)
     steady_distance = memory[_STEADY_TIME] * final_speed if memory[_STEADY_TIME] > 0.0 else memory[_STEADY_DISTANCE]
@@ -327,7 +336,7 @@ def _speed_for_arrival_with_final_speed(speed, road_speed, memory, distance, tim
 
 @_kernel
 def _speed_in_first_phase(speed, road_speed, memory, distance, time, final_speed, dt):
-    """Return the speed at the end of the step in the first of two phases."""
+    """Return the speed in m/s at the end of the step, in the first of two phases of constant acceleration."""
     rate, apex = _first_phase(road_speed, final_speed, distance, time)
     if (rate < 0.0) if memory[_IS_FASTER_FIRST] > 0.0 else (rate > 0.0):
         memory[_PHASE] = LAST_PHASE
@@ -346,11 +355,11 @@ def _speed_in_first_phase(speed, road_speed, memory, distance, time, final_speed
 
 @_kernel
 def _first_phase(start_speed, end_speed, distance, time):
-    """Return the acceleration in the first of two phases, and the speed at its end.
+    """Return the acceleration in the first of two phases in m/s², and the speed in m/s at the end of this phase.
 
-    The phases have accelerations a and -a, cover `distance` in `time`, begin with v0 and end with v1. If the speed
-    between them is vx, after the time x: distance = x (v0 + vx) / 2 + (time - x) (v1 + vx) / 2 and (vx - v0) / x = (vx
-    - v1) / (time - x).
+    The phases have opposite accelerations. Together they cover `distance` in `time`, from the start speed v0 to the end
+    speed v1. Between the phases, at the time x, the speed is vx. These equations are solved for x and vx:
+    distance = x (v0 + vx) / 2 + (time - x) (v1 + vx) / 2, and (vx - v0) / x = (vx - v1) / (time - x).
     """
     mean_speed = distance / time
     if abs(end_speed - start_speed) < _EPSILON:
