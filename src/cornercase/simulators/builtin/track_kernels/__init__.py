@@ -1,1 +1,1 @@
-"""Kernels for tracks: poses, lengths and projections."""
+"""Kernels for tracks (curves that entities follow): poses, lengths and projections."""

@@ -16,7 +16,7 @@ _kernel = kernel(error_model="numpy", forceinline=True, _nrt=False)
 
 @_kernel
 def pose_on_spline(tracks, row, n, distance, offset):
-    """Return x, y (m) and heading (rad) at a distance along a spline and an offset to its left."""
+    """Return x, y (m) and heading (rad) at a distance along a clothoid spline and an offset to the left, both in m."""
     length = spline_length(tracks, row, n)
     chord = floats_at_address(tracks.addresses[row, track_layout.CHORD], n + 1)[n]
     last = ints_at_address(tracks.addresses[row, track_layout.LAST_CHORD], n + 1)[n]
@@ -40,20 +40,20 @@ def pose_on_spline(tracks, row, n, distance, offset):
 
 @_kernel
 def spline_length(tracks, row, n):
-    """Return the length of a spline in m."""
+    """Return the length of a clothoid spline in m in scenario `n`."""
     return floats_at_address(tracks.addresses[row, track_layout.LENGTH], n + 1)[n]
 
 
 @_kernel
 def spline_end_time(tracks, row, n):
-    """Return the time in s, on the spline's own clock, at which a spline with times ends."""
+    """Return the time in s at which a clothoid spline with times ends, on the clock of the spline."""
     count = tracks.n_curvatures[row]
     return floats_at_address(tracks.addresses[row, track_layout.TIME] + 8 * count * n, count)[count - 1]
 
 
 @_kernel
 def spline_distance_at_time(tracks, row, n, time):
-    """Return the distance in m along a spline at a time in s on its own clock."""
+    """Return the distance in m along a clothoid spline at a time in s, on the clock of the spline."""
     count = tracks.n_curvatures[row]
     times = floats_at_address(tracks.addresses[row, track_layout.TIME] + 8 * count * n, count)
     table = floats_at_address(tracks.addresses[row, track_layout.DISTANCE] + 8 * count * n, count)
@@ -67,7 +67,10 @@ def spline_distance_at_time(tracks, row, n, time):
 
 @_kernel
 def spline_time_and_speed(tracks, row, n, distance):
-    """Return the time in s on its own clock and the speed in m/s at a distance along a spline with times."""
+    """Return time and speed in m/s at a distance along a clothoid spline with times.
+
+    The time is in s on the clock of the spline.
+    """
     count = tracks.n_curvatures[row]
     times = floats_at_address(tracks.addresses[row, track_layout.TIME] + 8 * count * n, count)
     table = floats_at_address(tracks.addresses[row, track_layout.DISTANCE] + 8 * count * n, count)

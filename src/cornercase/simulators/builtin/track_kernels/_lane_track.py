@@ -17,21 +17,25 @@ from cornercase.simulators.builtin.track_kernels import _track_layout as track_l
 # If a lane is shorter than this fraction of the reference line, steps are made along the lane.
 _MIN_SCALE = 0.1
 
-# Relative difference between the length over ground and the requested step that is tolerated.
+# Tolerated relative difference between the distance that an entity covers over ground and the requested step.
 _STEP_TOLERANCE = 1e-3
-# A cell that advances less along the reference line than this fraction of the cells at both ends is a jump.
+# A cell (between two samples) is a sideways jump if it advances along the reference line by less than this fraction of
+# the cells at both ends.
 _JUMP_RATIO = 0.2
 
 
 @kernel(error_model="numpy", forceinline=True, _nrt=False)
 def pose_on_lane(tracks, row, distance, offset):
-    """Return x, y (m) and heading (rad) at a distance along a lane and an offset to its left."""
+    """Return x, y (m) and heading (rad) at a distance along a lane and an offset to its left, both in m."""
     return pose_on_lane_path(tracks.addresses[row], tracks.size[row], distance, offset)
 
 
 @kernel(error_model="numpy", forceinline=True, _nrt=False)
 def pose_on_lane_path(addresses, n_samples, distance, offset):
-    """Return the same as `pose_on_lane`, for a lane path of `n_samples` samples given by its array addresses."""
+    """Return x, y (m) and heading (rad) at a distance along a lane path and an offset to its left, both in m.
+
+    `addresses` are the memory addresses of the arrays of the path, which have `n_samples` items.
+    """
     table = floats_at_address(addresses[track_layout.DISTANCE], n_samples)
     step = table[1]
     if math.isnan(distance) or not step > 0.0:
@@ -50,7 +54,10 @@ def pose_on_lane_path(addresses, n_samples, distance, offset):
 
 @kernel(error_model="numpy", forceinline=True, _nrt=False)
 def advance_on_lane(tracks, row, distance, offset, step):
-    """Return the distance in m along a lane after a step of `step` m along the reference line (negative: backwards)."""
+    """Return the distance in m along a lane after an entity has moved by `step` m (negative: backwards).
+
+    The entity has an offset of `offset` m to the left of the lane's centre.
+    """
     return _advance_on_samples(
         tracks.addresses[row], tracks.size[row], tracks.n_curvatures[row], distance, offset, step
     )
@@ -58,9 +65,9 @@ def advance_on_lane(tracks, row, distance, offset, step):
 
 @kernel(interpreted_seconds=lambda *arguments: 1e-4 * len(arguments[-1]), error_model="numpy")
 def advance_on_lane_path(addresses, n_samples, n_curvatures, distance, offset, steps):
-    """Return the distances in m along a lane path after steps along the reference line, shape (R,).
+    """Return the distances in m along a lane path after R entities have moved by `steps` m, shape (R,).
 
-    `n_samples` and `n_curvatures` are the numbers of samples and of curvatures of the path.
+    `addresses` are the memory addresses of the arrays of the path, which have `n_samples` or `n_curvatures` items.
     """
     result = np.empty(len(distance))
     for i in range(len(distance)):
@@ -95,9 +102,9 @@ def _advance_on_samples(addresses, n_samples, n_curvatures, distance, offset, st
 
 @kernel(error_model="numpy", forceinline=True, _nrt=False)
 def _correct_step_over_ground(table, reference, heading, count, distance, offset, step, reached):
-    """Return the distance after a step that reaches `reached` by the reference line.
+    """Return the distance along a lane after a step, given the distance `reached` if the reference line is followed.
 
-    It is corrected if the distance that the entity covers on the ground differs from the step.
+    The result differs from `reached` if an entity that goes there covers another length over ground than the step.
     """
     if abs(
         _move_over_ground(table, heading, count, distance, offset, reached, math.inf)[1] - abs(step)
@@ -113,11 +120,10 @@ def _correct_step_over_ground(table, reference, heading, count, distance, offset
 
 @kernel(error_model="numpy", _nrt=False)
 def _move_over_ground(table, heading, count, begin, offset, end, max_length):
-    """Move from `begin` towards `end` beside a path, by at most `max_length` m on the ground.
+    """Move from `begin` towards `end`, at an offset to the left of a path, by at most `max_length` m over ground.
 
-    Returns the distance reached along the path, and the length covered on the ground. Where the path bends by more than
-    the offset allows, the entity turns on the spot; each cell of the path counts with its length on the ground, even
-    backwards.
+    Returns the distance reached along the path, and the length covered over ground, both in m. In a bend that is
+    tighter than the offset, the entity goes backwards over ground; this length counts as positive.
     """
     covered, position = 0.0, begin
     sign = 1 if end > begin else -1
@@ -152,7 +158,7 @@ def _find_cell(table, count, x):
 
 @kernel(error_model="numpy", forceinline=True, _nrt=False)
 def road_position_on_lane(tracks, row, distance):
-    """Return road index, lane number, s in m, and whether the track runs along s, at a distance along a lane."""
+    """Return road index, lane number, s in m, and whether the track runs along s, at a distance along a lane track."""
     count, address = tracks.size[row], tracks.addresses[row]
     table = floats_at_address(address[track_layout.DISTANCE], count)
     reference = floats_at_address(address[track_layout.REFERENCE_DISTANCE], count)
@@ -168,7 +174,7 @@ def road_position_on_lane(tracks, row, distance):
 
 @kernel(error_model="numpy", forceinline=True, _nrt=False)
 def needs_next_lane(tracks, row, distance):
-    """Return whether another track continues at a distance along a lane."""
+    """Return whether an entity at a distance along a lane track should change to the next track along its lanes."""
     first, last = tracks.span[row, 0], tracks.span[row, 1]
     return (distance < first) | (distance > last)
 
@@ -180,7 +186,7 @@ def _interpolate_cell(values, k, fraction):
 
 @kernel(error_model="numpy", forceinline=True, _nrt=False)
 def _find_sample(table, count, x):
-    """Return the last index of an evenly spaced table with a value up to x; -1 if there is none."""
+    """Return the index of the last value up to `x` in an evenly spaced ascending table; -1 if all values are above."""
     if x < table[0]:
         return -1
     if not x < table[count - 1]:
@@ -195,7 +201,7 @@ def _find_sample(table, count, x):
 
 @kernel(error_model="numpy", forceinline=True, _nrt=False)
 def _find_last_not_beyond(table, count, x, start):
-    """Return the last index of an ascending table with a value up to x, searching from `start`; -1 if there is none."""
+    """Return the index of the last value up to `x` in an ascending table; -1 if none. The search begins at `start`."""
     if table[start] <= x:
         low, high, step = start, start + 1, 1
         while high < count and table[high] <= x:
@@ -219,7 +225,7 @@ def _find_last_not_beyond(table, count, x, start):
 
 @kernel(error_model="numpy", forceinline=True, _nrt=False)
 def _interpolate_at(positions, values, count, x, j):
-    """Return the interpolated value at x, like `numpy.interp`; `j` is the last index with a position up to x."""
+    """Return the interpolated value at `x`, like `numpy.interp`; `j` is the index of the last position up to `x`."""
     if j < 0:
         return values[0]
     if j >= count - 1 or positions[j] == x:

@@ -22,7 +22,7 @@ _kernel = kernel(error_model="numpy", forceinline=True, _nrt=False)
 
 @_kernel
 def pose_on_polyline(tracks, row, n, distance, offset):
-    """Return x, y (m) and heading (rad) at a distance along a polyline and an offset to its left."""
+    """Return x, y (m) and heading (rad) at a distance along a polyline and an offset to the left, both in m."""
     table = floats_at_address(_vertex_array_address(tracks, row, n, track_layout.DISTANCE), tracks.size[row])
     distance = _wrap_closed(tracks, row, table, distance)
     clipped, segment, fraction = _locate_on_segment(table, distance, 0.0)
@@ -40,7 +40,7 @@ def pose_on_polyline(tracks, row, n, distance, offset):
 
 @_kernel
 def polyline_length(tracks, row, n):
-    """Return the length of a polyline in m; infinite if it is closed."""
+    """Return the length of a polyline in m; infinite for a closed polyline."""
     count, closed = tracks.size[row], tracks.is_closed[row]
     length = floats_at_address(_vertex_array_address(tracks, row, n, track_layout.DISTANCE), count)[count - 1]
     return math.inf if closed else length
@@ -48,7 +48,7 @@ def polyline_length(tracks, row, n):
 
 @_kernel
 def polyline_direction(tracks, row, n, distance):
-    """Return the direction of the line in rad at a distance; the heading of the entity may differ."""
+    """Return the direction of a polyline in rad at a distance; the heading of an entity there may differ."""
     table = floats_at_address(_vertex_array_address(tracks, row, n, track_layout.DISTANCE), tracks.size[row])
     segment = _locate_on_segment(table, _wrap_closed(tracks, row, table, distance), VERTEX_TOLERANCE)[1]
     return floats_at_address(_direction_array_address(tracks, row, n), tracks.size[row] - 1)[segment]
@@ -56,7 +56,7 @@ def polyline_direction(tracks, row, n, distance):
 
 @_kernel
 def polyline_heading_is_given(tracks, row, n, distance):
-    """Return whether the file defines the heading at a distance."""
+    """Return whether the scenario file defines the heading at a distance along a polyline."""
     last = tracks.size[row] - 1
     table = floats_at_address(_vertex_array_address(tracks, row, n, track_layout.DISTANCE), last + 1)
     distance = _wrap_closed(tracks, row, table, distance)
@@ -71,14 +71,14 @@ def polyline_heading_is_given(tracks, row, n, distance):
 
 @_kernel
 def polyline_end_time(tracks, row, n):
-    """Return the time in s, on the polyline's own clock, at which a polyline with times ends."""
+    """Return the time in s at which a polyline with times ends, on the clock of the polyline."""
     count = tracks.size[row]
     return floats_at_address(_vertex_array_address(tracks, row, n, track_layout.TIME), count)[count - 1]
 
 
 @_kernel
 def polyline_distance_at_time(tracks, row, n, time):
-    """Return the distance in m along a polyline at a time in s on its own clock."""
+    """Return the distance in m along a polyline at a time in s, on the clock of the polyline."""
     count = tracks.size[row]
     times = floats_at_address(_vertex_array_address(tracks, row, n, track_layout.TIME), count)
     table = floats_at_address(_vertex_array_address(tracks, row, n, track_layout.DISTANCE), count)
@@ -102,7 +102,10 @@ def polyline_distance_at_time(tracks, row, n, time):
 
 @_kernel
 def polyline_time_and_speed(tracks, row, n, distance):
-    """Return the time in s on its own clock and the speed in m/s at a distance along a polyline with times."""
+    """Return time and speed in m/s at a distance along a polyline with times.
+
+    The time is in s on the clock of the polyline.
+    """
     count = tracks.size[row]
     table = floats_at_address(_vertex_array_address(tracks, row, n, track_layout.DISTANCE), count)
     times = floats_at_address(_vertex_array_address(tracks, row, n, track_layout.TIME), count)
@@ -126,13 +129,13 @@ def _direction_array_address(tracks, row, n):
 
 @_kernel
 def _wrap_closed(tracks, row, table, distance):
-    """Return the distance within one lap of a closed polyline, rounded as by `numpy.mod`."""
+    """Return the distance within one lap if the polyline is closed, rounded as by `numpy.mod`; otherwise unchanged."""
     return distance % table[table.size - 1] if tracks.is_closed[row] else distance
 
 
 @_kernel
 def _find_segment(table, value, tolerance):
-    """Return the last segment that begins at least `tolerance` before `value`; the first segment if there is none."""
+    """Return the index of the last segment that begins at least `tolerance` before `value`; 0 if there is none."""
     low, high = 0, table.size - 1
     while high - low > 1:
         middle = (low + high) // 2
@@ -145,7 +148,7 @@ def _find_segment(table, value, tolerance):
 
 @_kernel
 def _locate_on_segment(table, distance, tolerance):
-    """Return a distance clipped to the line, the segment there, and the fraction of the segment."""
+    """Return the distance clipped to the length of the line, the index of the segment there, and the fraction of it."""
     clipped = max(distance, 0.0)
     clipped = min(clipped, table[table.size - 1])
     segment = _find_segment(table, clipped, tolerance)
@@ -177,7 +180,7 @@ def _heading_on_polyline(tracks, row, n, table, distance):
             else current
         )
     if until_end < reach:
-        # The last segment turns fully to its end heading, any other halfway.
+        # On the last segment the heading turns fully to the end heading, on any other segment halfway.
         return current + (0.5 * (1.0 - until_end / reach) if segment < last else 1.0 - until_end / reach) * (
             after - current
         )

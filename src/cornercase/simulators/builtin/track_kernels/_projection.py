@@ -1,4 +1,4 @@
-"""Project points onto tracks, for one scenario at a time."""
+"""Projection of points onto lane paths, in one scenario at a time."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator, call-arg, var-annotated"
@@ -14,11 +14,11 @@ from cornercase._common.numba.pointers import floats_at_address
 from cornercase.simulators.builtin.track_kernels import _track_layout as track_layout
 from cornercase.simulators.builtin.track_kernels._lane_track import pose_on_lane_path
 
-# A track may pass a point several times. Number of nearest samples that are compared, and the excess over the smallest
-# gap, in m, up to which a sample counts as a pass.
+# A path may pass a point several times. Number of nearest samples that are compared, and the largest difference in m
+# from the smallest gap for which a sample counts as a pass.
 _N_NEAREST_SAMPLES = 16
 _PASS_TOLERANCE = 0.3
-# m; no valid coordinate is larger.
+# m; larger coordinates are invalid.
 _MAX_COORDINATE = 1e12
 # Stride of the first coarse search; a power of two.
 _COARSE_STRIDE = 64
@@ -26,10 +26,11 @@ _COARSE_STRIDE = 64
 
 @kernel(interpreted_seconds=lambda *arguments: 1e-3 * len(arguments[-1]), error_model="numpy")
 def project_on_lane_path(addresses, n_samples, max_sample_gap, x, y, after):
-    """Return the distances along a lane path of its points nearest to (x, y), in m, shape (R,).
+    """Return the distance along a lane path at which the path is nearest to each of R points, in m, shape (R,).
 
-    If the path passes a point several times, the first time after the distance `after` counts. `n_samples` is the
-    number of samples, `max_sample_gap` the largest gap between consecutive samples in m.
+    If the path passes a point several times, the first pass beyond the distance `after` counts. `addresses` are the
+    memory addresses of the arrays of the path with `n_samples` samples. `max_sample_gap` is the largest distance
+    between consecutive samples in m.
     """
     result = np.empty(len(x))
     for i in range(len(x)):
@@ -70,7 +71,10 @@ def _project_on_samples(addresses, n_samples, max_sample_gap, x, y, after):
 
 @kernel(error_model="numpy")
 def _find_nearest_samples(px, py, n_samples, max_sample_gap, x, y, gaps, samples):
-    """Fill `gaps` and `samples` with the nearest samples, nearest first; return their number."""
+    """Fill `samples` with the indices of the samples nearest to (x, y), and `gaps` with their distances in m.
+
+    The nearest sample comes first. Returns the number of samples.
+    """
     limit, n_found, n_wanted = _upper_bound_of_gap(px, py, n_samples, x, y), 0, min(_N_NEAREST_SAMPLES, n_samples)
     i = 0
     while i < n_samples:
@@ -94,7 +98,7 @@ def _find_nearest_samples(px, py, n_samples, max_sample_gap, x, y, gaps, samples
 
 @kernel(error_model="numpy")
 def _upper_bound_of_gap(px, py, n_samples, x, y):
-    """Return an upper bound of the gaps to the `_N_NEAREST_SAMPLES` nearest samples."""
+    """Return an upper bound in m of the distances from (x, y) to the `_N_NEAREST_SAMPLES` nearest samples of a path."""
     best, least = 0, math.inf
     for i in range(0, n_samples, _COARSE_STRIDE):
         squared = (px[i] - x) * (px[i] - x) + (py[i] - y) * (py[i] - y)

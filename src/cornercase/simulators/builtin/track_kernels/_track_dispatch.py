@@ -1,4 +1,4 @@
-"""Functions for tracks of any type, for one scenario or for many."""
+"""Functions for tracks of any type (lane, polyline or clothoid spline), in one scenario or in many."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -20,7 +20,7 @@ _kernel = kernel(error_model="numpy", forceinline=True, _nrt=False)
 
 @_kernel
 def pose_on_track(tracks, row, n, distance, offset):
-    """Return x, y (m) and heading (rad) at a distance along a track and an offset to its left."""
+    """Return x, y (m) and heading (rad) at a distance along a track and an offset to the left, both in m."""
     if tracks.kind[row] == track_layout.LANE_TRACK:
         return pose_on_lane(tracks, row, distance, offset)
     if tracks.kind[row] == track_layout.POLYLINE_TRACK:
@@ -30,7 +30,7 @@ def pose_on_track(tracks, row, n, distance, offset):
 
 @_kernel
 def trajectory_length(tracks, row, n):
-    """Return the length of a trajectory in m; infinite if it is closed."""
+    """Return the length of a trajectory in m; infinite for a closed trajectory."""
     if tracks.kind[row] == track_layout.POLYLINE_TRACK:
         return polyline_track.polyline_length(tracks, row, n)
     return clothoid_track.spline_length(tracks, row, n)
@@ -38,7 +38,7 @@ def trajectory_length(tracks, row, n):
 
 @_kernel
 def trajectory_direction(tracks, row, n, distance):
-    """Return the direction of a trajectory in rad at a distance; the heading of the entity may differ."""
+    """Return the direction of a trajectory in rad at a distance; the heading of an entity there may differ."""
     if tracks.kind[row] == track_layout.POLYLINE_TRACK:
         return polyline_track.polyline_direction(tracks, row, n, distance)
     return clothoid_track.pose_on_spline(tracks, row, n, distance, 0.0)[2]
@@ -46,7 +46,7 @@ def trajectory_direction(tracks, row, n, distance):
 
 @_kernel
 def trajectory_has_heading(tracks, row, n, distance):
-    """Return whether the file defines the heading at a distance; never on a spline."""
+    """Return whether the scenario file defines the heading at a distance along a trajectory; False for splines."""
     return tracks.kind[row] == track_layout.POLYLINE_TRACK and polyline_track.polyline_heading_is_given(
         tracks, row, n, distance
     )
@@ -54,7 +54,7 @@ def trajectory_has_heading(tracks, row, n, distance):
 
 @_kernel
 def trajectory_end_time(tracks, row, n):
-    """Return the time in s, on the trajectory's own clock, at which a trajectory with times ends."""
+    """Return the time in s at which a trajectory with times ends, on the clock of the trajectory."""
     if tracks.kind[row] == track_layout.POLYLINE_TRACK:
         return polyline_track.polyline_end_time(tracks, row, n)
     return clothoid_track.spline_end_time(tracks, row, n)
@@ -62,7 +62,7 @@ def trajectory_end_time(tracks, row, n):
 
 @_kernel
 def trajectory_distance_at_time(tracks, row, n, time):
-    """Return the distance in m along a trajectory at a time in s on its own clock."""
+    """Return the distance in m along a trajectory at a time in s, on the clock of the trajectory."""
     if tracks.kind[row] == track_layout.POLYLINE_TRACK:
         return polyline_track.polyline_distance_at_time(tracks, row, n, time)
     return clothoid_track.spline_distance_at_time(tracks, row, n, time)
@@ -70,7 +70,10 @@ def trajectory_distance_at_time(tracks, row, n, time):
 
 @_kernel
 def trajectory_time_and_speed(tracks, row, n, distance):
-    """Return the time in s on its own clock and the speed in m/s at a distance along a trajectory with times."""
+    """Return time and speed in m/s at a distance along a trajectory with times.
+
+    The time is in s on the clock of the trajectory.
+    """
     if tracks.kind[row] == track_layout.POLYLINE_TRACK:
         return polyline_track.polyline_time_and_speed(tracks, row, n, distance)
     return clothoid_track.spline_time_and_speed(tracks, row, n, distance)
@@ -78,10 +81,10 @@ def trajectory_time_and_speed(tracks, row, n, distance):
 
 @kernel(interpreted_seconds=lambda tracks, scenarios, points: 5e-5 * scenarios.size, error_model="numpy")
 def evaluate_track(tracks, scenarios, points):
-    """Evaluate a table with a single track at R points, given by `scenarios` (R,) and `points` (2, R).
+    """Evaluate the only track in a table at points given by scenarios (R,), and distances and offsets (2, R) in m.
 
-    `points` are distances along the track and offsets in m. Returns x, y, heading, direction, whether the file defines
-    the heading, time, speed and s, shape (8, R).
+    Returns an array (8, R): x, y, heading, direction of the track, whether the file defines the heading, time on the
+    clock of the track, speed, and s. Time and speed are NaN without times; s is NaN unless the track is a lane.
     """
     result = np.empty((8, scenarios.size))
     for i in range(scenarios.size):

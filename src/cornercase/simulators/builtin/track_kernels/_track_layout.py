@@ -1,8 +1,8 @@
-"""Tables of tracks for kernels.
+"""Tables of tracks (curves that entities follow) for kernels.
 
-The constants are columns of `TrackTable.addresses`, the addresses of the arrays of a track. A lane has the arrays of
-its path, in the same order, with an item per sample or curvature. A polyline has arrays with one row per scenario, and
-an item per vertex or segment.
+The table `TrackTable.addresses` holds the memory addresses of the arrays of each track; the constants name its columns.
+The arrays of a lane have an item per sample or curvature, in the order of the attributes of its path. The arrays of a
+polyline have a row per scenario, and an item per vertex or segment.
 """
 
 from __future__ import annotations
@@ -23,39 +23,40 @@ REFERENCE_DISTANCE, CENTER_OFFSET, CURVATURE_DISTANCE, REFERENCE_CURVATURE = ran
 """Columns of lanes."""
 
 DIRECTION, VERTEX_HEADING, TIME, SPEED, SEGMENT_ACCELERATION = range(4, 9)
-"""Columns of polylines; splines have their times in the same column."""
+"""Columns of polylines. `TIME` is also a column of splines."""
 
 LENGTH, CHORD, LAST_CHORD = 4, 5, 7
-"""Columns of splines, with a row of chord or segment ends per scenario."""
+"""Columns of splines, whose arrays have a row of chord ends or segment ends per scenario."""
 
 N_COLUMNS: Final = 14
+"""Number of columns of `TrackTable.addresses`."""
 
 LANE_TRACK, POLYLINE_TRACK, CLOTHOID_TRACK = range(3)
-"""Kinds of tracks: along lanes, through vertices, and along the chords of a clothoid spline."""
+"""Kinds of tracks: a lane and its successors, a line through vertices, or the chords of a clothoid spline."""
 
 CORNER_HALF_LENGTH: Final = 2.0
 """m; half the length over which the heading turns at a corner of a polyline (esmini's value)."""
 VERTEX_TOLERANCE: Final = 1e-6
-"""m or s; closer vertices coincide."""
+"""m or s; vertices that differ by less count as the same."""
 
 ALONG_SEGMENTS, AT_CORNERS, AT_VERTICES = range(3)
-"""Where the heading changes along a polyline: over whole segments, near corners, or at each vertex at once."""
+"""Ways in which the heading changes along a polyline: over whole segments, near corners, or abruptly at vertices."""
 
 
 class TrackTable(NamedTuple):
-    """G tracks of E entities, as arrays for kernels."""
+    """Arrays for kernels that describe the G tracks of E entities."""
 
-    rows: IntArray  # (E, K): index of each entity's tracks among all tracks; -1 for none
+    rows: IntArray  # (E, K): index among all tracks of each track of an entity; -1 for none
     kind: IntArray  # (G,): `LANE_TRACK`, `POLYLINE_TRACK` or `CLOTHOID_TRACK`
-    addresses: IntArray  # (G, 14): memory addresses of its arrays
+    addresses: IntArray  # (G, 14): memory addresses of the arrays of a track
     size: IntArray  # (G,): samples of a lane, vertices of a polyline, chord ends of a spline
     n_curvatures: IntArray  # (G,): curvature samples of a lane's reference line; segment ends of a spline
     max_sample_gap: FloatArray  # (G,): largest gap in m between consecutive samples of a lane
-    length: FloatArray  # (G,): of a lane in m; NaN for others, which depend on the scenario
-    span: FloatArray  # (G, 2): distances in m between which a lane is followed; beyond, another track continues
+    length: FloatArray  # (G,): length of a lane in m; NaN for trajectories, since their length depends on the scenario
+    span: FloatArray  # (G, 2): range of distances in m in which a lane is followed; beyond it, another track continues
     is_closed: BoolArray  # (G,): whether a polyline is a loop
     has_times: BoolArray  # (G,): whether a trajectory has times
-    heading_interpolation: IntArray  # (G,): `ALONG_SEGMENTS` and so on, of a polyline
+    heading_interpolation: IntArray  # (G,): `ALONG_SEGMENTS` and so on, for a polyline
     is_uniform: BoolArray  # (G,): whether a trajectory is the same in all scenarios, and stored in one row
 
 
@@ -72,9 +73,9 @@ def alloc_track_table(n_tracks: int) -> TrackTable:
 
 
 def make_trajectory_table(kind: int, is_uniform: bool, arrays: Sequence[FloatArray | IntArray | None]) -> TrackTable:
-    """Create the table of a single trajectory from its arrays, in the order of the columns.
+    """Create the table of a single trajectory from its arrays, which are in the order of the columns.
 
-    None stands for missing times.
+    None stands for missing times, speeds or accelerations.
     """
     table = alloc_track_table(1)
     table.kind[0], table.is_uniform[0] = kind, is_uniform

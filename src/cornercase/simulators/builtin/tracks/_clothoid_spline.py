@@ -12,7 +12,7 @@ from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.simulators.builtin.track_kernels._track_layout import CLOTHOID_TRACK, TrackTable, make_trajectory_table
 from cornercase.simulators.builtin.tracks._track import Pose, Trajectory, is_uniform
 
-# Chord length of a spline in m, and maximum number of chords; longer splines get longer chords.
+# Length of the chords of a spline in m, and largest number of chords; very long splines get longer chords instead.
 _CHORD_LENGTH: Final = 1.0
 _MAX_CHORDS: Final = 2000
 
@@ -21,19 +21,19 @@ _MIN_BEND: Final = 1e-7
 
 
 class ClothoidSpline(Trajectory):
-    """A trajectory of K segments with linearly changing curvature.
+    """A trajectory of K segments with linearly changing curvature, in N scenarios.
 
-    As in esmini, the entity moves on chords of 1 m, which are within millimetres of the curve and much faster to
+    As in esmini, the entity moves along chords of 1 m. They are within millimetres of the curve, and much faster to
     compute.
 
-    The start pose has shape (N,). `start` and `end` (curvatures in 1/m) and `length` have shape (N, K). `times` (N, K +
-    1) are the times in s at which segments begin, and the end of the last; the speed on a segment is constant.
-    `segment_starts` are start poses of segments that do not continue the previous one. `heading_offsets` (N, K) are
-    heading offsets in rad at the beginning of segments.
+    `x`, `y`, `heading` (N,) are the start pose. `start` and `end` (N, K) are the curvatures at the ends of segments in
+    1/m, and `length` (N, K) their lengths in m. `times` (N, K + 1) are the times in s at which segments begin, and the
+    end of the last; the speed on a segment is constant. `segment_starts` are the start poses of segments that do not
+    continue the previous segment, by index. `heading_offsets` (N, K) in rad are added at the start of segments.
 
-    Attributes: `segment_distances` (N, K + 1), distances in m at which segments begin, and the end of the last. `x`,
-    `y`, `heading`, ends of the chords, shape (N, C), or (1, C) if `is_uniform` (the same in all scenarios).
-    `chord_length` (N,), length in m of all chords but the last. `last_chord` (N,), index of the last chord.
+    Attributes: `segment_distances` (N, K + 1) are the distances in m at which segments begin, and the end of the last.
+    `x`, `y`, `heading` are the ends of the chords, shape (N, C), or (1, C) if `is_uniform` (the same in all scenarios).
+    `chord_length` (N,) is the length in m of all chords but the last. `last_chord` (N,) is the index of the last chord.
     """
 
     _scenario_arrays = ("_start", "_rate", "segment_distances", "lengths", "_x", "_y", "_node_headings", "_times")
@@ -121,7 +121,7 @@ class ClothoidSpline(Trajectory):
         )
 
     def _segment_and_node(self, distance: FloatArray, rows: IntArray) -> tuple[IntArray, IntArray]:
-        """Return flat indices of the segment at each distance, and of the integration node before it."""
+        """Return the index of the segment at each distance, and of the start of the segment, in flattened arrays."""
         count = self._start.shape[1]
         k = np.zeros(len(rows), dtype=np.int64)
         first = rows * (count + 1)
@@ -135,7 +135,7 @@ class ClothoidSpline(Trajectory):
         if self.is_uniform and len(x) > 1 and (x == x[0]).all() and (y == y[0]).all():
             return np.repeat(self.nearest_distance(x[:1], y[:1], rows[:1]), len(x))
         lengths, best, gap = self.lengths[rows], np.zeros(len(x)), np.full(len(x), np.inf)
-        # In few chunks if there are few scenarios, to save NumPy calls.
+        # For few scenarios, few chunks of points, to save NumPy calls.
         for fractions in np.array_split(np.linspace(0.0, 1.0, 201), min(max(len(x), 1), 201)):
             along, count = np.outer(fractions, lengths), len(fractions)
             at_x, at_y, _ = self.pose_at(along.ravel(), np.zeros(along.size), np.tile(rows, count))
@@ -162,7 +162,10 @@ class ClothoidSpline(Trajectory):
 def evaluate_clothoid(
     distance: FloatArray, start: FloatArray, rate: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return x, y (m) and turn (rad) along clothoids, by curvature (1/m) at the start and its rate (1/m²), (N,)."""
+    """Return x, y (m) and change of heading (rad) at distances along clothoids that start at 0 along the x axis.
+
+    All arrays have shape (N,). `start` is the curvature at the start in 1/m, `rate` the change of curvature in 1/m².
+    """
     turn = start * distance + 0.5 * rate * distance**2
     is_curved = np.abs(rate) * distance**2 >= _MIN_BEND
     # sinc is accurate for small curvature.

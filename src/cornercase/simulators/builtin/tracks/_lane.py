@@ -1,4 +1,4 @@
-"""A track along a lane and the lanes that follow."""
+"""A track along a lane and its successors."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from cornercase.simulators.builtin.track_kernels._projection import project_on_l
 from cornercase.simulators.builtin.track_kernels._track_layout import LANE_TRACK, TrackTable, alloc_track_table
 from cornercase.simulators.builtin.tracks._track import Pose, Track
 
-# m; largest margin before the cut end of a path at which an entity changes to the next path.
+# m; largest distances from the cut ends of a path at which an entity changes to the next path.
 _MAX_MARGIN_AHEAD: Final = 1000.0
 _MAX_MARGIN_BEHIND: Final = 250.0
 
@@ -25,8 +25,8 @@ _MAX_MARGIN_BEHIND: Final = 250.0
 class LaneTrack(Track):
     """The centre line of a lane and its successors, the same in all scenarios.
 
-    `span` is the range of distances in m in which the track is followed. If `is_continued` is set, another track
-    follows beyond it.
+    `span` is the range of distances in m in which entities follow the track. Beyond this range, entities change to
+    another track if `is_continued`.
     """
 
     def __init__(self, path: LanePath) -> None:
@@ -44,7 +44,7 @@ class LaneTrack(Track):
     def from_lane(
         cls, network: RoadNetwork, road: int, lane: int, s: float, along: bool, via: tuple[tuple[int, int, float], ...]
     ) -> LaneTrack | None:
-        """Return the track through a point on a lane, along s or against it; None if there is no such lane."""
+        """Return the track through a point on a lane, along s or against s; None if the lane does not exist there."""
         path = network.lane_path_from(road, lane, s, along, via)
         return None if path is None else cls(path)
 
@@ -56,7 +56,7 @@ class LaneTrack(Track):
         return table
 
     def distance_at_s(self, s: FloatArray) -> FloatArray:
-        """Return the distance along the track for an s on the road for which it was created."""
+        """Return the distance along the track in m, for a coordinate s of the road for which the track was created."""
         return self.path.distance_of_s(s)
 
     def s_at(self, distance: FloatArray) -> FloatArray:
@@ -64,11 +64,11 @@ class LaneTrack(Track):
         return self.evaluate(distance, np.zeros_like(distance), np.zeros(distance.shape, dtype=np.int64)).s
 
     def advance(self, distance: FloatArray, offset: FloatArray, step: FloatArray) -> FloatArray:
-        """Return the distance along the track after a step, in m, shape (R,).
+        """Return the distance along the track in m after entities have moved by `step` m, shape (R,).
 
-        As in esmini, a step is made along the reference line and scaled by the curvature at its beginning. If the
-        resulting distance is wrong by more than 0.1 % (where the curvature changes, or a lane is at an angle), the step
-        is made along the lane.
+        As in esmini, the step is made along the reference line, with the scale that follows from the curvature at the
+        start of the step. If the entity would then cover a length that is wrong by more than 0.1 %, the step is made
+        along the lane instead. That happens if the curvature changes, or if the lane is at an angle.
         """
         path = self.path
         return np.asarray(
@@ -88,7 +88,7 @@ class LaneTrack(Track):
         return np.minimum(np.maximum(along, 0.0), self.length)
 
     def update_road_coordinates(self, pose: Pose, rows: IntArray, distance: FloatArray, offset: FloatArray) -> Pose:
-        """Return `pose` with the road coordinates of `rows` on this track."""
+        """Return `pose` with road coordinates from distances and offsets along this track in the scenarios `rows`."""
         assert pose.offset is not None
         sample = self.path.sample_index(distance)
         road, lane, s = pose.road_coordinates()

@@ -8,8 +8,8 @@ import numpy as np
 
 from cornercase._common.typing import FloatArray
 
-# As in esmini, a control point's influence is sampled about every metre, a little further along the parameter, as times
-# depend on it. Each sample is divided into so many points.
+# As in esmini, the influence of control points, from which times follow, is sampled about every metre and a small step
+# of the parameter further. The curve has 8 points per sample.
 _SAMPLE_SPACING: Final = 1.0
 _PARAMETER_STEP: Final = 0.001
 _POINTS_PER_SAMPLE: Final = 8
@@ -23,11 +23,12 @@ _MIN_DERIVATIVE: Final = 1e-9
 def evaluate_nurbs(
     x: FloatArray, y: FloatArray, time: FloatArray, weights: FloatArray, knots: FloatArray, order: int
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return points of a NURBS, and tangent directions and times at these points, shape (N, samples) each.
+    """Return x, y (m), tangent directions (rad) and times (s) at points along a NURBS, shape (N, points) each.
 
-    `x`, `y` and `time` of the control points have shape (N, C). `order` is the degree plus one; there are C + order
-    knots. The curve has the time of a control point where this point has most influence, and times in between are
-    interpolated. The last point is repeated at least once, and more often if another scenario has more points.
+    `x`, `y` and `time` of the C control points have shape (N, C) for N scenarios. `order` is the degree plus one; there
+    are C + order knots. The curve has the time of a control point at the point where the influence of this control
+    point is largest. Times in between are interpolated. The last point is repeated at least once, and more often if
+    another scenario has more points.
     """
     # Imported late: slow to import, and rarely needed.
     from scipy.interpolate import BSpline
@@ -59,8 +60,8 @@ def evaluate_nurbs(
 
 
 def _tangent_directions(x: FloatArray, y: FloatArray, dx: FloatArray, dy: FloatArray) -> FloatArray:
-    """Return unwrapped tangent directions at points with given derivatives, shape (N, S)."""
-    # If control points coincide the derivative vanishes, and the direction to the next point is used.
+    """Return unwrapped tangent directions in rad from the derivatives of a curve, shape (N, points)."""
+    # If control points coincide, the derivative vanishes. Then the direction to the next point is used.
     is_singular = np.hypot(dx, dy) < _MIN_DERIVATIVE
     if is_singular.any():
         ahead_x, ahead_y = (
@@ -71,7 +72,7 @@ def _tangent_directions(x: FloatArray, y: FloatArray, dx: FloatArray, dy: FloatA
 
 
 def _weighted_sums(controls: FloatArray, weights: FloatArray) -> FloatArray:
-    """Return weighted sums of control points; (N, C) and (S, C) give (N, S)."""
+    """Return weighted sums of control points, shape (N, S), from control points (N, C) and weights (S, C)."""
     # A matrix product would round differently for one scenario than for many.
     result = np.zeros((len(controls), len(weights)))
     for k in range(controls.shape[1]):
@@ -80,5 +81,8 @@ def _weighted_sums(controls: FloatArray, weights: FloatArray) -> FloatArray:
 
 
 def _time_weights(u: FloatArray, peaks: FloatArray) -> FloatArray:
-    """Return the weight of each control point in the time at each parameter value, shape (C, samples)."""
+    """Return the weight of each control point for the time at each parameter value `u`, shape (C, points).
+
+    `peaks` are the parameter values at which the influence of control points is largest.
+    """
     return np.stack([np.interp(u, peaks, row) for row in np.eye(len(peaks))])

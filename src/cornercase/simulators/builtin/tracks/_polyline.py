@@ -16,16 +16,16 @@ from cornercase.simulators.builtin.tracks._track import Trajectory, is_uniform
 
 
 class Polyline(Trajectory):
-    """A trajectory through V vertices.
+    """A trajectory along straight lines through V vertices, in N scenarios.
 
-    `x`, `y` (m), `heading` (rad; NaN for the direction of the segment) and `time` (s, not decreasing) have shape (N,
-    V). A `closed` polyline is a loop. `heading_interpolation` says where the heading changes: along whole segments,
-    near corners, or at the vertices. By default the speed is constant on each segment. With `begin_speed` (N,) in m/s,
-    the acceleration is constant instead, such that the next vertex is reached in time.
+    `x`, `y` (m), `heading` (rad) and `time` (s, not decreasing) have shape (N, V). If the heading is NaN, it is the
+    direction of the segment. A `closed` polyline is a loop. `heading_interpolation` is `ALONG_SEGMENTS`, `AT_CORNERS`
+    or `AT_VERTICES`. By default the speed is constant on each segment. With `begin_speed` (N,) in m/s, the acceleration
+    on each segment is constant instead, so that the entity reaches the next vertex in time.
 
-    Attributes at vertices, (N, V): `distance` along the line in m; `vertex_headings`, unwrapped heading in rad;
-    `speeds` in m/s; `accelerations` in m/s² on the segment that begins there. `directions` (N, V - 1) are those of
-    segments in rad. `is_uniform`: all arrays are the same in all scenarios.
+    Attributes (N, V): `distance` of vertices along the line in m; `vertex_headings` in rad, unwrapped; `speeds` at
+    vertices in m/s; `accelerations` in m/s² on the segments that begin at vertices. `directions` (N, V - 1): directions
+    of segments in rad. `is_uniform`: True if all arrays are the same in all scenarios.
     """
 
     _scenario_arrays = (
@@ -59,8 +59,8 @@ class Polyline(Trajectory):
         # At the last vertex, a line without headings keeps its direction.
         ends = np.concatenate([self.directions, self.directions[:, -1:]], axis=1)
         facing = np.where(np.isnan(heading), ends, heading)
-        # The direction of half a turn would depend on rounding: as in esmini, straight up or down counts as slightly
-        # right.
+        # At half a turn, rounding would decide on the direction. As in esmini, a line straight up or down counts as
+        # slightly to the right.
         nudged = np.where(
             np.isnan(heading) & (np.abs(np.cos(ends)) < VERTEX_TOLERANCE),
             ends - VERTEX_TOLERANCE * np.sin(ends),
@@ -111,13 +111,19 @@ class Polyline(Trajectory):
 
 
 def _unwrap_shortest(heading: FloatArray, nudged: FloatArray) -> FloatArray:
-    """Return headings with full turns added so that each change is the shorter one; half a turn is as in `nudged`."""
+    """Return headings in rad with full turns added, so that each change is at most half a turn.
+
+    If a change is half a turn, `nudged` (slightly changed headings) decides on the direction.
+    """
     turns = np.round((np.unwrap(np.mod(nudged, 2 * np.pi), axis=1) - heading) / (2 * np.pi))
     return np.asarray(heading + 2 * np.pi * (turns - turns[:, :1]))
 
 
 def _segment_directions(x: FloatArray, y: FloatArray, segment_lengths: FloatArray) -> FloatArray:
-    """Return the directions of segments; one of length 0 takes that of the one before, or of the first longer one."""
+    """Return the unwrapped directions of segments in rad, shape (N, V - 1).
+
+    A segment of length 0 gets the direction of the segment before, or of the first segment with a length.
+    """
     dx, dy = np.diff(x), np.diff(y)
     direction = np.arctan2(dy, dx)
     rows, first = np.arange(len(x)), (segment_lengths > VERTEX_TOLERANCE).argmax(axis=1)
@@ -131,7 +137,7 @@ def _segment_directions(x: FloatArray, y: FloatArray, segment_lengths: FloatArra
 def _speeds_and_accelerations(
     segment_lengths: FloatArray, spans: FloatArray, start_speed: FloatArray | None
 ) -> tuple[FloatArray, FloatArray]:
-    """Return speeds at vertices, and accelerations on the segments that begin there, shape (N, V) each."""
+    """Return speeds at vertices (m/s), and accelerations on the segments that begin there (m/s²), shape (N, V) each."""
     has_duration = spans > VERTEX_TOLERANCE
     mean = np.where(has_duration, segment_lengths / np.where(has_duration, spans, 1.0), 0.0)
     if start_speed is None:
@@ -144,7 +150,7 @@ def _speeds_and_accelerations(
         span = np.where(has_duration[:, k], spans[:, k], 1.0)
         rate = 2.0 * (mean[:, k] - speeds[-1]) / span
         speed = speeds[-1] + rate * span
-        # There is more time than any speed needs: it stops at the next vertex before the time.
+        # There is so much time that the entity would have to drive backwards: it stops at the next vertex too early.
         stops = (speed < 0.0) != (speeds[-1] < 0.0)
         has_length = segment_lengths[:, k] > VERTEX_TOLERANCE
         braking = -(speeds[-1] ** 2) / (2.0 * np.where(has_length, segment_lengths[:, k], 1.0))

@@ -1,4 +1,4 @@
-"""Tables of all tracks of a batch, for kernels."""
+"""Table of all tracks in a batch of scenarios, for kernels."""
 
 from __future__ import annotations
 
@@ -11,18 +11,22 @@ from cornercase.simulators.builtin.tracks._track import Track
 
 
 class TrackPool:
-    """Collects the tracks of all entities of a batch for kernels."""
+    """Collector of the tracks of all entities in a batch of scenarios, as one table for kernels."""
 
     def __init__(self) -> None:
         self._counts: list[int] | None = None
-        # By identity of a track, its row and the track itself, which stays alive.
+        # Row of each track by its identity, with the track itself, so that it stays alive.
         self._rows: dict[int, tuple[int, Track]] = {}
-        # The tables from which each row was copied.
+        # The table from which each row was copied.
         self._copied: list[TrackTable] = []
         self._tracks = alloc_track_table(0)
 
     def update(self, tracks_by_entity: Sequence[Sequence[Track]]) -> TrackTable:
-        """Return the tables of the tracks by entity, which may only be added; a new object only if some were added."""
+        """Return the table of all tracks, given the tracks of each entity.
+
+        Since the last call, tracks may have been added, but not removed. The result is a new object only if some were
+        added.
+        """
         counts = [len(tracks) for tracks in tracks_by_entity]
         for g, track in self._rows.values():
             if track.table is not self._copied[g]:
