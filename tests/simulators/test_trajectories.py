@@ -119,7 +119,7 @@ def test_back_at_its_start_a_trajectory_ends_there(tmp_path):
     ("shape", "timing", "why"),
     [
         (polyline(vertex(60, 0, 0), vertex(80, 5, 2)), TIMED, "a closed <Trajectory> has no time for its return"),
-        ('<Clothoid curvature="0" curvaturePrime="0" length="20"/>', "<None/>", "has to be a <Polyline> here"),
+        ('<Clothoid curvature="0" curvaturePrime="0" length="20"/>', "<None/>", "only a <Polyline> can be a closed"),
     ],
 )
 def test_a_closed_trajectory_that_cannot_be_followed_is_refused(tmp_path, shape, timing, why):

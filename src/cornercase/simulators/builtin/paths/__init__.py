@@ -1,1 +1,1 @@
-"""Positions, trajectories and distances as scenario files define them."""
+"""Positions, trajectories, transitions and distances as scenario files define them."""

@@ -39,10 +39,10 @@ _KERNEL_KINDS: Final = {
 
 @dataclass(frozen=True)
 class DistanceMeasure:
-    """The way in which a condition measures a distance.
+    """Method by which a condition measures a distance.
 
-    `kind`: euclidean, longitudinal or lateral. `along_road`: in road coordinates, not in those of the entity.
-    `is_free_space`: between bounding boxes, not between reference points.
+    `kind` is euclidean, longitudinal or lateral. `along_road`: True for road coordinates, False for the axes of the
+    entity. `is_free_space`: True for distances between bounding boxes, False for distances between reference points.
     """
 
     kind: str
@@ -50,7 +50,10 @@ class DistanceMeasure:
     is_free_space: bool
 
     def measure_to_entity(self, world: World, e: int, other: int) -> FloatArray:
-        """Return the signed distance in m to an entity, shape (N,); negative behind, or to the right if lateral."""
+        """Return the signed distance in m from entity `e` to another entity, shape (N,).
+
+        The distance is negative if the other entity is behind, or to the right for a lateral distance.
+        """
         if (kernel_kind := self.kernel_kind(to_entity=True)) is not None:
             return world.compiled.measure_to_entity(e, other, kernel_kind)
         if self.kind == "euclidean":
@@ -71,7 +74,10 @@ class DistanceMeasure:
         return free_space_to_entity_on_road(world, e, other, False, free_space_to_entity(world, e, other, distance))
 
     def measure_to_point(self, world: World, e: int, pose: Pose) -> FloatArray:
-        """Return the signed distance in m to a point, shape (N,); negative behind, or to the right if lateral."""
+        """Return the signed distance in m from entity `e` to a point, shape (N,).
+
+        The distance is negative if the point is behind, or to the right for a lateral distance.
+        """
         if (kernel_kind := self.kernel_kind(to_entity=False)) is not None:
             return world.compiled.measure_to_point(e, pose.x, pose.y, kernel_kind)
         entity, along_roads = world.entities[e], distance_along_roads(world, e, pose)
@@ -89,7 +95,7 @@ class DistanceMeasure:
         return free_space_to_point_on_road(world, e, pose, False, shorten_distance(distance, front, rear))
 
     def kernel_kind(self, *, to_entity: bool) -> int | None:
-        """Return the kind of distance in kernels, which measure along the axes of the entity; None if they cannot."""
+        """Return the number by which kernels know this kind of distance; None if only Python can measure it."""
         is_euclidean = self.kind == "euclidean"
         if (self.along_road and not is_euclidean) or (to_entity and self.is_free_space and is_euclidean):
             return None
@@ -97,7 +103,10 @@ class DistanceMeasure:
 
 
 def read_distance_measure(element: etree._Element, scope: Scope) -> DistanceMeasure:
-    """Read how an element measures a distance; `InputError` for an unknown coordinate system or distance type."""
+    """Read from the attributes of an element how a distance is measured.
+
+    Raises `InputError` for an unknown coordinate system or distance type.
+    """
     kind = scope.read_text(element, "relativeDistanceType", "euclidianDistance")
     system = scope.read_text(element, "coordinateSystem", "entity")
     kinds = {
@@ -107,8 +116,8 @@ def read_distance_measure(element: etree._Element, scope: Scope) -> DistanceMeas
     if kind not in kinds or system not in ("entity", "lane", "road", "trajectory", "world"):
         raise scope.error_at(
             element,
-            f"<{element.tag}>: a distance of type '{kind}' in the system '{system}' does not exist; use"
-            " euclidianDistance, longitudinal or lateral in entity, lane, road or trajectory.",
+            f"<{element.tag}>: there is no distance of type '{kind}' in the coordinate system '{system}'; use"
+            " euclidianDistance, longitudinal or lateral, and the system entity, lane, road or trajectory.",
         )
     if system in ("trajectory", "world") and kinds[kind] != "euclidean":
         raise scope.error_at(

@@ -1,4 +1,4 @@
-"""Transitions of a value over time: shapes and dimensions of ``TransitionDynamics``."""
+"""Transitions from one value to another: shapes and dimensions of ``TransitionDynamics`` in scenario files."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.scenario._scope import Scope
 from cornercase.simulators.builtin.kernels._action_table import DYNAMICS_DIMENSIONS, DYNAMICS_SHAPES
 
-# Largest slope of a transition from 0 to 1 over unit time.
+# Largest slope of a transition from 0 to 1 in a time of 1.
 _PEAK_SLOPE: Final = {"linear": 1.0, "cubic": 1.5, "sinusoidal": 0.5 * np.pi, "step": 1.0}
 
 # s and m/s; smaller differences are ignored.
@@ -19,7 +19,7 @@ _EPSILON: Final = 1e-6
 
 
 class TransitionDynamics:
-    """A transition from one value to another, with the shape, dimension and value that a file gives."""
+    """A transition from one value to another, with shape, dimension and value from a scenario file."""
 
     def __init__(self, element: etree._Element, scope: Scope) -> None:
         self.shape = scope.read_text(element, "dynamicsShape")
@@ -41,11 +41,11 @@ class TransitionDynamics:
     def speed_change_duration(
         self, start: FloatArray, end: FloatArray, unlimited_end: FloatArray, max_slope: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the duration in s of a change of speed, and the factor by which it is stretched, shape (N,) each.
+        """Return the duration in s of a change of speed, and the factor that stretches this duration, shape (N,) each.
 
-        A change is stretched so that its slope does not exceed `max_slope` in m/s². `unlimited_end` is `end` without
-        the limit of the vehicle's maximum speed. Speeds are in m/s. With the dimension rate, kernels compute the
-        duration, since it depends on the speed of another entity.
+        The factor limits the slope to `max_slope` in m/s². Speeds are in m/s; `unlimited_end` is the final speed before
+        it is limited to the vehicle's maximum speed. With the dimension rate, the duration is 0 here: kernels compute
+        it, since it depends on the speed of another entity.
         """
         change, peak = np.abs(end - start), _PEAK_SLOPE[self.shape]
         if self.shape == "step":
@@ -60,11 +60,11 @@ class TransitionDynamics:
             return span, np.maximum(slope / np.maximum(max_slope, _EPSILON), 1.0)
 
     def is_immediate(self, span: FloatArray) -> BoolArray:
-        """Return in which scenarios the change is immediate, shape (N,)."""
+        """Return in which scenarios a change with a duration of `span` s is immediate, shape (N,)."""
         return np.asarray((span < _EPSILON) & (self.shape == "step" or self.dimension != "rate"))
 
     def lateral_extent(self, start: FloatArray, end: FloatArray) -> FloatArray:
-        """Return the duration in s or distance in m of a lateral change, shape (N,)."""
+        """Return the duration of a lateral change in s, or its length in m if the dimension is distance, shape (N,)."""
         if self.shape == "step":
             return np.zeros_like(start)
         if self.dimension != "rate":
@@ -87,7 +87,7 @@ class TransitionDynamics:
 
 
 def check_dynamics_shape(shape: str, element: etree._Element, scope: Scope) -> None:
-    """Raise `InputError` if there is no such ``dynamicsShape``."""
+    """Raise `InputError` if `shape` is not a known ``dynamicsShape``."""
     if shape not in _PEAK_SLOPE:
         raise scope.error_at(
             element, f"dynamicsShape '{shape}' of <{element.tag}> is not one of {', '.join(_PEAK_SLOPE)}."
@@ -95,7 +95,10 @@ def check_dynamics_shape(shape: str, element: etree._Element, scope: Scope) -> N
 
 
 def duration_at_peak_acceleration(shape: str, change: FloatArray, max_acceleration: FloatArray) -> FloatArray:
-    """Return the duration in s of a lateral change by its peak acceleration; a linear one counts as cubic."""
+    """Return the duration in s of a lateral change of `change` m whose peak acceleration is `max_acceleration` in m/s².
+
+    A linear change counts as cubic.
+    """
     with np.errstate(divide="ignore"):
         if shape == "step":
             return np.zeros_like(change)

@@ -1,4 +1,4 @@
-"""OpenSCENARIO positions, which are resolved when they are needed, for all scenarios of a batch."""
+"""Reader of OpenSCENARIO positions, which are resolved when needed, for all scenarios of a batch."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from cornercase.simulators.builtin.world._lane_following import get_lane_track
 from cornercase.simulators.builtin.world._road_position import is_heading_along_road, road_heading, road_pose
 from cornercase.simulators.builtin.world._world import World
 
-# m; a position this little beyond the end of a road is at the end.
+# m; a position beyond the end of a road by less than this counts as at the end.
 _END_TOLERANCE: Final = 0.1
 
 
 def read_position(holder: etree._Element, scope: Scope, world: World) -> PositionResolver:
-    """Read the position inside an element; return a function that resolves it in a world."""
+    """Read the position inside an element; return a function that gives its pose in the current state of a world."""
     element = holder.find("*")
     if element is None:
         raise scope.error_at(holder, f"<{holder.tag}> holds no position.")
@@ -37,13 +37,13 @@ def read_position(holder: etree._Element, scope: Scope, world: World) -> Positio
 
 
 def is_static_position(holder: etree._Element) -> bool:
-    """Return whether the position inside an element is the same at all times."""
+    """Return whether the position inside an element has world, lane or road coordinates, so that it never changes."""
     element = holder.find("*")
     return element is not None and element.tag in ("WorldPosition", "LanePosition", "RoadPosition")
 
 
 def read_entity_index(element: etree._Element, scope: Scope, world: World, attribute: str = "entityRef") -> int:
-    """Return the row of the entity that an attribute names."""
+    """Return the index of the entity that an attribute of an element names."""
     name = scope.read_text(element, attribute)
     if name not in world.names:
         raise scope.error_at(
@@ -54,13 +54,16 @@ def read_entity_index(element: etree._Element, scope: Scope, world: World, attri
 
 
 def read_entity_refs(holder: etree._Element, scope: Scope, world: World) -> list[int]:
-    """Return the rows of the entities and members of selections that ``EntityRef`` elements name, each once."""
+    """Return the indices of the entities that the ``EntityRef`` elements inside an element name.
+
+    A selection stands for its members. Each entity is listed once.
+    """
     rows = (row for element in holder.iterfind("EntityRef") for row in read_members(element, scope, world))
     return list(dict.fromkeys(rows))
 
 
 def read_members(element: etree._Element, scope: Scope, world: World) -> list[int]:
-    """Return the row of the entity that ``entityRef`` names, or the rows of the members of a selection."""
+    """Return the index of the entity that ``entityRef`` names, or the indices of all members of a selection."""
     members = world.selections.get(scope.read_text(element, "entityRef"))
     return [read_entity_index(element, scope, world)] if members is None else members
 
@@ -116,7 +119,7 @@ def _read_relative_lane_position(element: etree._Element, scope: Scope, world: W
 
     def resolve(world: World) -> Pose:
         base = road_pose(world, entity)
-        # dsLane counts both distances in the entity's direction; ds counts along s and by lane numbers.
+        # With dsLane, distances and lanes count in the entity's direction; with ds, along s and by lane numbers.
         ahead = is_heading_along_road(world, base)
         forward = np.where(ahead | (not along_lane), 1, -1)
         base = _move_along_roads(world, base, forward * ds)
@@ -132,13 +135,16 @@ def _read_relative_lane_position(element: etree._Element, scope: Scope, world: W
 
 
 def shift_lane(lane: IntArray, n_lanes: IntArray) -> IntArray:
-    """Return the lane `n_lanes` lanes to the left (negative: right), seen along s, shape (N,); there is no lane 0."""
+    """Return the lane number `n_lanes` to the left (negative: right), seen along s, shape (N,); lane 0 is skipped."""
     moved = lane + n_lanes
     return np.where((moved == 0) | (np.sign(moved) != np.sign(lane)), moved + np.sign(n_lanes), moved)
 
 
 def _move_along_roads(world: World, base: Pose, ds: FloatArray) -> Pose:
-    """Return a pose moved along the roads by `ds` m, positive along s."""
+    """Return a pose whose road, lane and s are moved along the roads by `ds` m (positive: along s).
+
+    x, y and heading stay unchanged.
+    """
     assert world.network is not None
     road, lane, start = base.road_coordinates()
     road, lane, s = road.copy(), lane.copy(), start + ds
@@ -159,7 +165,7 @@ def _move_along_roads(world: World, base: Pose, ds: FloatArray) -> Pose:
 
 
 def _mark_end_of_road(pose: Pose, moved: Pose, element: etree._Element, scope: Scope) -> Pose:
-    """Return the pose, marked as beyond the road where `moved` is, since the road ended on the path to it."""
+    """Return `pose` marked as beyond the road in the scenarios in which `moved` is, as the road ended on the path."""
     assert pose.is_beyond_road is not None
     assert moved.is_beyond_road is not None
     location = f"{Path(scope.file_name).name}, line {element.sourceline}"
@@ -214,7 +220,10 @@ def _pose_from_road_coordinates(
 
 
 def _clip_to_road(world: World, road: IntArray, s: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Clip coordinates s to the length of the roads; also return which were beyond it, shape (N,) each."""
+    """Return coordinates s in m clipped to the lengths of roads, and a mask of the scenarios that changed, (N,) each.
+
+    Changes up to a small tolerance do not count in the mask.
+    """
     assert world.network is not None
     lengths = world.network.road_lengths[road]
     return np.clip(s, 0.0, lengths), (s < -_END_TOLERANCE) | (s > lengths + _END_TOLERANCE)
@@ -245,7 +254,7 @@ def _read_route_position(element: etree._Element, scope: Scope, world: World) ->
             )
         else:
             pose = _pose_from_road_coordinates(world, road, s, np.where(along, lateral, -lateral), turn, relative)
-        # As in esmini, an orientation against the route is turned around.
+        # As in esmini, a heading against the route is turned around.
         forward = road_heading(world, pose) + np.where(along, 0.0, np.pi)
         against = has_orientation & (np.cos(pose.heading - forward) < 0.0)
         return replace(pose, heading=pose.heading + np.where(against, np.pi, 0.0))
@@ -256,7 +265,7 @@ def _read_route_position(element: etree._Element, scope: Scope, world: World) ->
 def _walk_route(
     network: RoadNetwork, waypoints: list[Pose], distance: FloatArray
 ) -> tuple[IntArray, FloatArray, BoolArray]:
-    """Return road, s and direction (whether along s) at distances in m along a route, shape (N,) each."""
+    """Return road index, s in m, and if the route runs along s, at distances in m along a route, shape (N,) each."""
     roads = np.stack([pose.road_coordinates()[0] for pose in waypoints])
     _, first_lane, first_s = waypoints[0].road_coordinates()
     section = np.zeros(len(distance), dtype=np.int64)
@@ -269,7 +278,7 @@ def _walk_route(
         rows = (keys == key[:, None]).all(axis=0)
         *road_indices, lane, k = (int(index) for index in key)
         start, end = network.roads[road_indices[0]].section_interval(k)
-        # Start at the section's entry, so that all positions in it share one walk.
+        # Start at the entry of the lane section, so that one walk serves all positions in this section.
         forward = network.is_traffic_forward(road_indices[0], lane, 0.5 * (start + end))
         section_start = start if forward else end - 1e-9
         extra = (first_s[rows] - section_start) * (1.0 if forward else -1.0)
@@ -279,10 +288,11 @@ def _walk_route(
 
 
 RouteResolver = Callable[[World], list[Pose]]
+"""Function that returns the poses of the waypoints of a route in the current state of a world."""
 
 
 def read_route(holder: etree._Element, scope: Scope, world: World) -> RouteResolver:
-    """Read the ``Route`` or ``CatalogReference`` in an element; return a function that resolves its waypoints."""
+    """Read the ``Route`` or ``CatalogReference`` in an element; return a function that gives the waypoints' poses."""
     element, scope = scope.resolve_element_or_reference(holder, "Route")
     waypoints = [
         read_position(position, scope, world)
@@ -313,7 +323,7 @@ def _read_trajectory_position(element: etree._Element, scope: Scope, world: Worl
 
 
 def _read_offset_position(element: etree._Element, scope: Scope, world: World) -> PositionResolver:
-    """Read a ``RelativeObjectPosition`` (along the axes of the entity) or a ``RelativeWorldPosition``."""
+    """Read a ``RelativeObjectPosition`` (along the axes of an entity) or ``RelativeWorldPosition`` (along x and y)."""
     entity = read_entity_index(element, scope, world)
     dx, dy = scope.read_numbers(element, "dx"), scope.read_numbers(element, "dy")
     turn, relative = _read_orientation(element, scope)

@@ -1,4 +1,4 @@
-"""Shapes of trajectories in files and catalogs."""
+"""Reader of the shapes of trajectories in scenario files and catalogs."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from cornercase.simulators.builtin.tracks._track import Pose, Trajectory
 from cornercase.simulators.builtin.world._world import World
 
 PositionResolver = Callable[[World], Pose]
-"""Resolves a position in the world's current state."""
+"""Function that returns the pose of a position in the current state of a world."""
 
 PositionReader = Callable[[etree._Element, Scope, World], PositionResolver]
-"""Reads the position in an element."""
+"""Function that reads the position in an element, and returns a resolver for it."""
 
 
 class WorldPosition:
-    """A position given by coordinates in the plane; its road is looked up only when it is needed."""
+    """A position given by x and y; the road at this position is looked up only when needed."""
 
     def __init__(self, pose: Pose) -> None:
         self.pose = pose
@@ -45,45 +45,54 @@ _TIME_TOLERANCE: Final = 1e-6
 
 @dataclass(frozen=True)
 class TimeConversion:
-    """Conversion of times in a file into times of a trajectory, by a factor and then an offset, shape (N,) each."""
+    """Conversion of times in a file into times of a trajectory: factor `scale`, then offset `shift` in s, both (N,)."""
 
     scale: FloatArray
     shift: FloatArray
 
     def convert(self, file_times: FloatArray) -> FloatArray:
-        """Convert times of the file, shape (N, V); a time earlier than a previous one becomes the previous one."""
+        """Convert times in s from the file, shape (N, V).
+
+        If the last time is the latest, a time that goes back is replaced by the latest time before it.
+        """
         times = file_times * self.scale[:, None] + self.shift[:, None]
         latest = np.maximum.accumulate(times, axis=1)
         return np.where(times[:, -1:] == latest[:, -1:], latest, times)
 
 
 TrajectoryBuilder = Callable[[World, bool, TimeConversion | None, int | None], Trajectory]
-"""Builds a trajectory for the current state of a world.
+"""Function that builds a trajectory for the current state of a world.
 
-The further arguments are whether the following mode is ``follow``, the conversion of times (None: without times), and
-the row of the entity that follows it (None: nobody does).
+The other arguments say whether the following mode is ``follow``, how times are converted (None: without times), and
+which entity follows the trajectory (None: no entity).
 """
 
 
 def read_trajectory(
     holder: etree._Element, scope: Scope, world: World, read_position: PositionReader
 ) -> TrajectoryBuilder:
-    """Read the ``Trajectory`` or ``CatalogReference`` in an element; `read_position` reads the positions in it."""
+    """Read the ``Trajectory`` or ``CatalogReference`` in an element; return a function that builds the trajectory.
+
+    `read_position` reads the positions in the trajectory.
+    """
     element, inner = scope.resolve_element_or_reference(holder, "Trajectory")
     shape = element.find("Shape")
     kind = None if shape is None else shape.find("*")
     if kind is None or kind.tag not in ("Polyline", "Clothoid", "ClothoidSpline", "Nurbs"):
-        raise scope.error_at(element, "a <Trajectory> is not a <Polyline>, <Clothoid>, <ClothoidSpline> or <Nurbs>.")
+        raise scope.error_at(element, "a <Trajectory> needs a <Polyline>, <Clothoid>, <ClothoidSpline> or <Nurbs>.")
     closed = inner.read_boolean(element, "closed", False)
     if kind.tag == "Polyline":
         return _read_polyline(kind, inner, world, read_position, closed)
     if closed:
-        raise scope.error_at(element, "a closed <Trajectory> has to be a <Polyline> here; give closed as false.")
+        raise scope.error_at(element, "only a <Polyline> can be a closed <Trajectory>; set closed to false.")
     return (_read_nurbs if kind.tag == "Nurbs" else _read_clothoids)(kind, inner, world, read_position)
 
 
 def has_times(holder: etree._Element, scope: Scope) -> bool:
-    """Return whether the trajectory in an element has times that differ; `BatchSplitError` if in some scenarios."""
+    """Return whether the trajectory in an element has times, which must differ from each other to count.
+
+    Raises `BatchSplitError` if this is so in some scenarios only.
+    """
     element, inner = scope.resolve_element_or_reference(holder, "Trajectory")
     timed = [
         (part, name)
@@ -113,8 +122,8 @@ def has_times(holder: etree._Element, scope: Scope) -> bool:
     if differ.all() and inner.read_boolean(element, "closed", False):
         raise scope.error_at(
             element,
-            "a closed <Trajectory> has no time for its return to the"
-            " first vertex; set closed to false, and repeat the first vertex at the end, with its time.",
+            "a closed <Trajectory> has no time for its return to the first vertex; set closed to false, and add the"
+            " first vertex again at the end, with the time of the return.",
         )
     return bool(differ.all())
 
@@ -141,13 +150,13 @@ def _read_polyline(
 
 
 _Vertices = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
-"""x, y, heading (NaN if the file gives none) and time of all vertices, each (N, V)."""
+"""x, y, heading (NaN if not given in the file) and time of all vertices, shape (N, V) each."""
 
 
 def _read_vertices(
     element: etree._Element, vertices: list[etree._Element], scope: Scope, world: World, read_position: PositionReader
 ) -> Callable[[World], _Vertices]:
-    """Read the vertices of a polyline; return a function that resolves them in a world."""
+    """Read the vertices of a polyline; return a function that resolves the vertices in the state of a world."""
     constant = cached_on_element(
         element, "corners", lambda: _read_constant_vertices(vertices, scope, world, read_position)
     )
@@ -173,7 +182,10 @@ def _read_vertices(
 def _read_constant_vertices(
     vertices: list[etree._Element], scope: Scope, world: World, read_position: PositionReader
 ) -> tuple[FloatArray, ...] | None:
-    """Return the coordinates of V vertices, one array (V,) for each; None unless all are constant world positions."""
+    """Return x, y, heading and time of V vertices, shape (V,) each, if they are the same in all scenarios.
+
+    Returns None unless all vertices are world positions without parameters.
+    """
     elements = [_require_position(vertex, scope) for vertex in vertices]
     if any(len(element) != 1 or element[0].tag != "WorldPosition" or len(element[0]) for element in elements):
         return None
@@ -240,7 +252,7 @@ def _read_clothoids(
 def _read_segment_times(
     element: etree._Element, segments: list[etree._Element], length: FloatArray, scope: Scope
 ) -> FloatArray:
-    """Return the times at which spline segments begin, and the end of the last; missing times are interpolated."""
+    """Return the times in s at which spline segments begin, and the last ends; missing times are interpolated."""
     given: dict[int, FloatArray] = {
         k: scope.read_numbers(segment, "timeStart")
         for k, segment in enumerate(segments)
@@ -265,7 +277,8 @@ def _read_nurbs(
         raise scope.error_at(
             element,
             f"a <Nurbs> of order {order} with {len(controls)} control points needs"
-            f" {len(controls) + order} rising knots, and at least as many control points as its order.",
+            f" {len(controls) + order} knots that do not decrease, an order of at least 2, and at least as many control"
+            " points as its order.",
         )
     weights = np.array([scope.read_number(control, "weight", 1.0) for control in controls])
     if not (weights > 0).all():
@@ -277,14 +290,14 @@ def _read_nurbs(
         poses = [_resolve_coordinates(position, world) for position in positions]
         x, y = np.stack([pose.x for pose in poses], axis=1), np.stack([pose.y for pose in poses], axis=1)
         px, py, heading, reached = evaluate_nurbs(x, y, times, weights, knots, order)
-        # On a curve, all headings are tangents, and change from point to point.
+        # On a curve, all headings are tangents, which change continuously from point to point.
         return Polyline(px, py, heading, None if clock is None else clock.convert(reached), False, ALONG_SEGMENTS)
 
     return build_trajectory
 
 
 def _resolve_coordinates(position: PositionResolver, world: World) -> Pose:
-    """Return the present pose of a position; it has a road only if the position is given on a road."""
+    """Return the present pose of a position, without looking up the road of a position given by x and y."""
     return position.pose if isinstance(position, WorldPosition) else position(world)
 
 
