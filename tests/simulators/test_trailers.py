@@ -57,7 +57,7 @@ def test_a_trailer_of_its_own_turns_into_line_as_on_a_rod(tmp_path):
 
 
 def test_what_cannot_be_pulled_is_refused(tmp_path):
-    with pytest.raises(InputError, match="cannot pull 'Ego\\+', as it has no <TrailerCoupler>"):
+    with pytest.raises(InputError, match="cannot pull 'Ego\\+', as 'Ego\\+' has no <TrailerCoupler>"):
         run(tmp_path, pulling(car("unnamed")))
     with pytest.raises(InputError, match="pulls 'Nobody', which does not exist"):
         run(tmp_path, with_parts(car("Ego"), f'{HITCH}<Trailer><TrailerRef entityRef="Nobody"/></Trailer>'))
@@ -128,7 +128,7 @@ def test_43_9_scenarios_of_one_file_pull_each_for_itself(tmp_path):
     ("reference", "hitch", "said"),
     [
         ('trailer="T"', HITCH, "is read as trailerRef"),
-        ('trailerRef="T"', "", "cannot pull 'T', as it has no <TrailerHitch>"),
+        ('trailerRef="T"', "", "cannot pull 'T', as 'Ego' has no <TrailerHitch>"),
         ('trailerRef="Ego"', HITCH, None),
         ('trailerRef="V"', HITCH, None),
     ],

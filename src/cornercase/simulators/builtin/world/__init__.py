@@ -1,1 +1,1 @@
-"""State of all entities of a batch, and functions that query or change it."""
+"""State of all entities in a batch of scenarios, and functions that query or change this state."""

@@ -1,4 +1,4 @@
-"""Distances between entities along and across their headings, tracks and roads."""
+"""Distances between entities, along and across their headings, tracks or roads."""
 
 from __future__ import annotations
 
@@ -12,14 +12,18 @@ from cornercase.simulators.builtin.tracks._track import Pose, Track
 from cornercase.simulators.builtin.world._road_position import is_heading_along_road, road_pose
 from cornercase.simulators.builtin.world._world import World
 
-# Largest distance in m of a target from its track.
+# m; a target that is farther from a track is not on the track.
 _MAX_TRACK_DISTANCE: Final = 20.0
 
 
 def locate_target_on_track(
     world: World, entity: int, target: Pose, number: FloatArray, distance: FloatArray, where: BoolArray
 ) -> None:
-    """Store track and distance along it (m) of a fixed target; infinite if the track does not lead there."""
+    """Store at which distance along the entity's track a fixed target is, in the scenarios of a mask.
+
+    `number` (N,) receives the number of the track, `distance` (N,) the distance in m. It is infinite if the track does
+    not lead to the target.
+    """
     for k, track, rows in world.iter_followed_tracks(entity, where & np.isfinite(target.x + target.y)):
         new = rows[(number[rows] != k) | np.isnan(distance[rows])]
         if new.size:
@@ -28,7 +32,10 @@ def locate_target_on_track(
 
 
 def distance_along_roads(world: World, entity: int, target: Pose) -> FloatArray:
-    """Return the distance to a target along track or roads in m, (N,); negative behind, infinite without a road."""
+    """Return the distance in m from an entity to a target along its track, or along roads, shape (N,).
+
+    The distance is negative if the target is behind, and infinite if neither track nor roads lead to the target.
+    """
     result = np.full(world.scenarios, np.inf)
     for _, track, rows in world.iter_followed_tracks(entity, np.isfinite(target.x + target.y)):
         result[rows] = _distance_on_track(world, entity, track, target, rows) - world.distance[entity][rows]
@@ -47,7 +54,10 @@ def distance_along_roads(world: World, entity: int, target: Pose) -> FloatArray:
 def _distance_on_track(
     world: World, entity: int, track: Track, target: Pose, rows: IntArray, *, allow_any_lateral: bool = False
 ) -> FloatArray:
-    """Return the distance to a target along a track in m, shape (R,); infinite if the track does not lead there."""
+    """Return the distance from the start of a track to a target in m, shape (R,).
+
+    The distance is infinite if the track does not lead to the target.
+    """
     along = track.nearest_distance(target.x[rows], target.y[rows], rows, world.distance[entity][rows])
     x, y, _ = track.pose_at(along, np.zeros(len(rows)), rows)
     near = np.hypot(x - target.x[rows], y - target.y[rows]) < _MAX_TRACK_DISTANCE
@@ -55,13 +65,19 @@ def _distance_on_track(
 
 
 def offset_of_entity(world: World, entity: int, other: int) -> FloatArray:
-    """Return the offset of another entity from the entity's track in m, shape (N,), positive to the left."""
+    """Return the lateral offset in m of another entity from the track of `entity`, shape (N,); positive to the left.
+
+    Without a track, the offset is measured across the heading of `entity`.
+    """
     is_present, (x, y) = world.present[other], _position_after_lateral_step(world, other)
     return offset_of_point(world, entity, np.where(is_present, x, np.nan), np.where(is_present, y, np.nan))
 
 
 def offset_of_point(world: World, entity: int, x: FloatArray, y: FloatArray) -> FloatArray:
-    """Return the offset of a point in m from an entity's track, else across its heading, (N,), positive to the left."""
+    """Return the lateral offset in m of a point from the track of an entity, shape (N,); positive to the left.
+
+    Without a track, the offset is measured across the heading of the entity.
+    """
     cos, sin = np.cos(world.heading[entity]), np.sin(world.heading[entity])
     result = (y - world.y[entity]) * cos - (x - world.x[entity]) * sin + world.offset[entity]
     for _, track, rows in world.iter_followed_tracks(entity, np.isfinite(x)):
@@ -72,7 +88,7 @@ def offset_of_point(world: World, entity: int, x: FloatArray, y: FloatArray) -> 
 
 
 def _position_after_lateral_step(world: World, entity: int) -> tuple[FloatArray, FloatArray]:
-    """Return the position of an entity after the lateral motion of the coming step, shape (N,) each."""
+    """Return x and y in m of an entity if only the lateral motion of the coming step is made, shape (N,) each."""
     x, y = world.x[entity].copy(), world.y[entity].copy()
     for _, track, rows in world.iter_followed_tracks(entity, world.present[entity] & ~world.moved[entity]):
         x[rows], y[rows], _ = track.pose_at(world.distance[entity][rows], world.offset[entity][rows], rows)
@@ -80,7 +96,7 @@ def _position_after_lateral_step(world: World, entity: int) -> tuple[FloatArray,
 
 
 def free_space_to_entity(world: World, entity: int, other: int, distance: FloatArray) -> FloatArray:
-    """Return the free space in m between boxes whose reference points have a distance in m, shape (N,)."""
+    """Return the free space in m between two boxes whose reference points have a signed distance along the lane."""
     own_box, other_box = world.entities[entity], world.entities[other]
     fronts = [0.5 * box.length + box.center_x for box in (own_box, other_box)]
     rears = [0.5 * box.length - box.center_x for box in (own_box, other_box)]
@@ -88,5 +104,8 @@ def free_space_to_entity(world: World, entity: int, other: int, distance: FloatA
 
 
 def shorten_distance(distance: FloatArray, ahead: float, behind: float) -> FloatArray:
-    """Return distances without the part in boxes: `ahead` m if they are positive, else `behind` m; 0 if they touch."""
+    """Return signed distances in m, reduced by the parts inside boxes; 0 if nothing remains.
+
+    Positive distances are reduced by `ahead` m, negative distances by `behind` m.
+    """
     return np.where(distance > 0, np.maximum(distance - ahead, 0.0), np.minimum(distance + behind, 0.0))

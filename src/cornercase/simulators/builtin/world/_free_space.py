@@ -1,4 +1,4 @@
-"""Free space between bounding boxes, along and across their common road."""
+"""Free space between bounding boxes on the same road, along and across the road."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ def free_space_to_entity_on_road(
 ) -> FloatArray:
     """Return the smallest difference in s (or in t if `lateral`) between the corners of two boxes, in m, shape (N,).
 
-    It is 0 if the boxes are side by side, and `default` if they are on different roads. It is positive if the other is
-    ahead, or to the left of the road if `lateral`.
+    The difference is 0 if the boxes are side by side, and `default` if they are on different roads. It is positive if
+    the other entity is ahead, or to the left (seen along s) if `lateral`.
     """
     own_pose, other_pose = road_pose(world, entity), road_pose(world, other)
     if own_pose.road is None or other_pose.road is None:
@@ -48,8 +48,8 @@ def free_space_to_point_on_road(
 ) -> FloatArray:
     """Return the smallest difference in s (or in t if `lateral`) between the corners of a box and a point, in m, (N,).
 
-    It is 0 if they are side by side, and `default` if they are on different roads. It is positive if the point is
-    ahead, or to the left of the road if `lateral`.
+    The difference is 0 if the point is beside the box, and `default` if it is on another road. It is positive if the
+    point is ahead, or to the left (seen along s) if `lateral`.
     """
     own_pose = road_pose(world, entity)
     if own_pose.road is None or target.road is None or target.s is None:
@@ -66,7 +66,10 @@ def free_space_to_point_on_road(
 
 
 def lateral_distance_on_road(world: World, entity: int, target: Pose, default: FloatArray) -> FloatArray:
-    """Return the difference in t to a point on the same road in m, (N,), positive to the left; else `default`."""
+    """Return the difference in t from an entity to a point in m, shape (N,); positive to the left, seen along s.
+
+    The difference is `default` if the point is on another road.
+    """
     own_pose = road_pose(world, entity)
     if own_pose.road is None or target.road is None or target.s is None:
         return default
@@ -79,12 +82,15 @@ def lateral_distance_on_road(world: World, entity: int, target: Pose, default: F
 
 
 def _sign_along_road(world: World, pose: Pose) -> FloatArray:
-    """Return 1 if the heading of a pose is along s, else -1, shape (N,)."""
+    """Return 1 if the heading of a pose is along s on its road, otherwise -1, shape (N,)."""
     return np.where(is_heading_along_road(world, pose), 1.0, -1.0)
 
 
 def _project_onto_road(world: World, pose: Pose, points: FloatArray, where: BoolArray, lateral: bool) -> FloatArray:
-    """Return s (or t if `lateral`) of P points on the road of a pose near them, shape (N, P); 0 outside the mask."""
+    """Return s (or t if `lateral`) in m of P points on the road of a pose, shape (N, P); 0 outside the mask.
+
+    The points must be near the pose.
+    """
     assert world.network is not None
     roads, _, s_of_pose = pose.road_coordinates()
     result = np.zeros(points.shape[:2])

@@ -1,4 +1,4 @@
-"""Place entities, and make them follow lanes or other tracks."""
+"""Placement of entities, and changes of the lane or other track that an entity follows."""
 
 from __future__ import annotations
 
@@ -20,18 +20,21 @@ from cornercase.simulators.builtin.world._world import World
 
 # Tolerance of headings in rad.
 _ALIGNED: Final = 1e-3
-# Distance in m beyond the end of a road from which a placement is reported as moved.
+# m; if a placement beyond the end of a road is moved by more than this, it is reported.
 _MAX_PLACEMENT_ERROR: Final = 1.0
-# Distance in m that a steered entity goes beyond the edge of its lane before it follows another one.
+# m; a steered entity follows another lane once it is beyond the edge of its lane by more than this.
 _LANE_HYSTERESIS: Final = 0.1
 # Least cosine of the angle between an entity and the traffic on the lane that it begins to follow.
 _SAME_DIRECTION: Final = 0.5
-# Distance in m from a lane's end within which a path sample may belong to either lane.
+# m; within this distance of a lane's end, a sample of the path may belong to this lane or to the next lane.
 _SEAM_TOLERANCE: Final = 0.5
 
 
 def place_entity(world: World, entity: int, pose: Pose, where: BoolArray) -> None:
-    """Place an entity at a pose; it then follows the lane there, or goes straight on if there is no lane."""
+    """Place an entity at a pose, and make it follow the lane there; without a lane it will go straight on.
+
+    Scenarios in which the pose is not on the map end with an error.
+    """
     lost = ~np.isfinite(pose.x + pose.y + pose.heading)
     if pose.is_beyond_road is not None and pose.relative_location:
         why = f"{world.names[entity]} would be beyond the end of the road, and is placed at that end"
@@ -57,7 +60,7 @@ def attach_to_lane(
 ) -> None:
     """Make an entity follow the lane at its position (or at `pose`), in the direction of its heading.
 
-    One beyond the end of the road is moved to that end, or follows nothing unless it `may_move`.
+    An entity beyond the end of the road is moved to this end if `may_move`; otherwise it follows no lane.
     """
     world.track[entity][where] = NO_TRACK
     world.stranded[entity][where] = False
@@ -92,7 +95,7 @@ def attach_to_lane(
 
 
 def _locate_entity(world: World, network: RoadNetwork, entity: int, where: BoolArray) -> Pose:
-    """Return the pose of an entity; its road coordinates are found in the scenarios of a mask, and 0 in all others."""
+    """Return the pose of an entity, with road coordinates in the scenarios of a mask; they are 0 in all others."""
     n = world.scenarios
     road, lane, s, offset = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64), np.zeros(n), np.zeros(n)
     road[where], lane[where], s[where], offset[where] = network.locate(world.x[entity][where], world.y[entity][where])
@@ -100,10 +103,11 @@ def _locate_entity(world: World, network: RoadNetwork, entity: int, where: BoolA
 
 
 def follow_lane_at_position(world: World, entity: int, where: BoolArray, *, is_tracked: BoolArray) -> None:
-    """Make a steered entity follow the lane in which it is, once it has left its own.
+    """Make a steered entity that has left the lane of its track follow the lane at its position.
 
-    It keeps following its track off the road, where traffic runs against its heading, and while the storyboard leads it
-    to another lane; also on a trajectory where `is_tracked` (N,), as nothing else than its track steers it there.
+    The entity keeps its track if it is off the road, if traffic on the lane runs against its heading, and while an
+    action makes it change lanes. It also keeps a trajectory in the scenarios `is_tracked` (N,), since there the driver
+    steers along the trajectory.
     """
     network = world.network
     if network is None:
@@ -135,7 +139,7 @@ def follow_lane_at_position(world: World, entity: int, where: BoolArray, *, is_t
 
 
 def _half_lane_width(world: World, entity: int, track: Track, scenarios: IntArray) -> FloatArray:
-    """Return half the width of the lane that an entity's track is on, in m, shape (R,)."""
+    """Return half the width in m of the lane at an entity's position on its track, in R scenarios, shape (R,)."""
     network, distance = world.network, world.distance[entity][scenarios]
     assert network is not None
     if isinstance(track, LaneTrack):
@@ -148,7 +152,7 @@ def _half_lane_width(world: World, entity: int, track: Track, scenarios: IntArra
 
 
 def half_lane_widths(network: RoadNetwork, path: LanePath) -> FloatArray:
-    """Return half the width of the lane at each sample of a path along lanes, in m, shape (P,); it is cached."""
+    """Return half the width of the lane at each of P samples of a lane path, in m, shape (P,); results are cached."""
     if "half widths" not in path.cache:
         path.cache["half widths"] = _half_widths(network, path.road, path.lane, path.s)
     widths: FloatArray = path.cache["half widths"]
@@ -156,7 +160,7 @@ def half_lane_widths(network: RoadNetwork, path: LanePath) -> FloatArray:
 
 
 def _half_widths(network: RoadNetwork, road: IntArray, lane: IntArray, s: FloatArray) -> FloatArray:
-    """Return half the width of lanes at points of their roads, in m, shape (R,)."""
+    """Return half the widths in m of lanes at R points, given by road index, lane number and s, shape (R,)."""
     width = np.empty(len(s))
     for number, which in sorted({*zip(road.tolist(), lane.tolist(), strict=True)}):
         current, rows = network.roads[number], np.flatnonzero((road == number) & (lane == which))
@@ -168,13 +172,16 @@ def _half_widths(network: RoadNetwork, road: IntArray, lane: IntArray, s: FloatA
 
 
 def _iter_groups(keys: IntArray, where: BoolArray) -> Iterator[tuple[tuple[int, ...], BoolArray]]:
-    """Yield each distinct column of `keys` in the scenarios of a mask, sorted, with a mask of its scenarios."""
+    """Group the scenarios of a mask by their columns in `keys`; yield each column, sorted, and a mask of its group."""
     for key in sorted({*zip(*keys[:, where].tolist(), strict=True)}):
         yield key, where & (keys == np.array(key)[:, None]).all(axis=0)
 
 
 def change_lane(world: World, entity: int, lane: IntArray, where: BoolArray) -> BoolArray:
-    """Make an entity, which stays where it is, follow another lane of its road; return where that exists, (N,)."""
+    """Make an entity follow another lane of its road, without moving the entity itself.
+
+    Returns a mask (N,) of the scenarios in which this lane exists.
+    """
     assert world.network is not None
     pose = road_pose(world, entity)
     _, _, s = pose.road_coordinates()
@@ -200,7 +207,10 @@ def change_lane(world: World, entity: int, lane: IntArray, where: BoolArray) -> 
 
 
 def extend_lane_path(world: World, entity: int, track_number: int) -> None:
-    """Make an entity follow the next part of its lane path, if it is near the end of the present part."""
+    """Make an entity follow the next part of its lane path if it is near an end of the present part.
+
+    The present part is the track with number `track_number`.
+    """
     assert world.network is not None
     track = world.tracks[entity][track_number]
     assert isinstance(track, LaneTrack)
@@ -224,14 +234,17 @@ def extend_lane_path(world: World, entity: int, track_number: int) -> None:
             in_section = rows & (world.network.roads[road].section_at(s) == section)
             new = get_lane_track(world, road, lane, float(s[in_section][0]), along, route)
             if new is not None:
-                # On a ring it is the current path, started again.
+                # On a ring, the next part is the present path again.
                 new = LaneTrack(new.path) if new is track else new
                 _move_to_new_path(world, entity, track, new, at[in_section], s[in_section])
                 world.route[entity][at[in_section]] = route
 
 
 def _remaining_route(world: World, entity: int, where: BoolArray) -> IntArray:
-    """Return the route of an entity without the roads that it has passed, since a new path would lead back to them."""
+    """Return the number of an entity's route in each scenario, shape (N,), without the roads that it has passed.
+
+    With these roads in the route, a new path would lead back to them.
+    """
     result: IntArray = world.route[entity].copy()
     for _, track, at in world.iter_followed_tracks(entity, where & (world.route[entity] > 0)):
         if not isinstance(track, LaneTrack):
@@ -258,7 +271,10 @@ def _move_to_new_path(
 
 
 def assign_route(world: World, entity: int, roads: tuple[int, ...], where: BoolArray) -> None:
-    """Make an entity drive along roads (indices); if it follows a lane, it goes on from its present position."""
+    """Assign a route along roads (indices) to an entity, in the scenarios of a mask.
+
+    An entity that follows a lane takes the route from its present position on.
+    """
     via = tuple((road, 0, 0.0) for road in roads)
     if via not in world.routes:
         world.routes.append(via)
@@ -271,7 +287,7 @@ def assign_route(world: World, entity: int, roads: tuple[int, ...], where: BoolA
 
 
 def follow_track(world: World, entity: int, track: Track, distance: FloatArray, where: BoolArray) -> None:
-    """Make an entity follow a track, from a distance along it in m, shape (N,)."""
+    """Make an entity follow a track, starting at a distance along the track in m, shape (N,)."""
     tracks = world.tracks[entity]
     if track not in tracks:
         tracks.append(track)
@@ -280,7 +296,7 @@ def follow_track(world: World, entity: int, track: Track, distance: FloatArray, 
 
 
 def get_lane_track(world: World, road: int, lane: int, s: float, along: bool, route: int) -> LaneTrack | None:
-    """Return the track along a lane and its successors from s in m, cached; None if there is no such lane."""
+    """Return the cached track along the lane at `s` m and its successors; None if the lane does not exist there."""
     assert world.network is not None
     section = int(world.network.roads[road].section_at(np.array([s]))[0])
     key = (road, section, lane, along, route)
@@ -290,7 +306,7 @@ def get_lane_track(world: World, road: int, lane: int, s: float, along: bool, ro
 
 
 def _road_section_direction(world: World, pose: Pose, where: BoolArray) -> tuple[IntArray, IntArray, BoolArray]:
-    """Return road, lane section, and whether the heading is along s, shape (N,) each."""
+    """Return road index, index of the lane section, and whether the heading of a pose is along s, shape (N,) each."""
     assert world.network is not None
     roads, _, s = pose.road_coordinates()
     section = np.zeros(world.scenarios, dtype=np.int64)

@@ -1,4 +1,4 @@
-"""Positions of entities on roads."""
+"""Positions of entities in road coordinates."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from cornercase.simulators.builtin.world._world import World
 
 
 def follows_lane(world: World, entity: int) -> BoolArray:
-    """Return in which scenarios the entity follows a lane, shape (N,)."""
+    """Return a mask (N,) of the scenarios in which an entity follows a lane, not a trajectory or no track."""
     result = np.zeros(world.scenarios, dtype=np.bool_)
     for k, track in enumerate(world.tracks[entity]):
         if isinstance(track, LaneTrack):
@@ -25,7 +25,7 @@ def follows_lane(world: World, entity: int) -> BoolArray:
 
 
 def road_pose(world: World, entity: int) -> Pose:
-    """Return the pose of an entity with its road coordinates; without these if there are no roads."""
+    """Return the pose of an entity, with its road coordinates if the world has roads."""
     pose = Pose(world.x[entity].copy(), world.y[entity].copy(), world.heading[entity].copy())
     if world.network is None:
         return pose
@@ -46,7 +46,7 @@ def road_pose(world: World, entity: int) -> Pose:
 
 
 def is_on_road(world: World, entity: int) -> BoolArray:
-    """Return in which scenarios an entity's reference point is on a road, shape (N,)."""
+    """Return a mask (N,) of the scenarios in which the reference point of an entity is on a lane of a road."""
     assert world.network is not None
     location = world.network.locate(world.x[entity], world.y[entity])
     width = np.zeros(world.scenarios)
@@ -71,19 +71,19 @@ def is_on_road(world: World, entity: int) -> BoolArray:
 
 
 def road_heading(world: World, pose: Pose) -> FloatArray:
-    """Return the direction of s at a pose, in rad, shape (N,)."""
+    """Return the direction in rad in which s increases on the road of a pose, shape (N,)."""
     assert world.network is not None
     road, _, s = pose.road_coordinates()
     return _road_headings(world.network, road, s)
 
 
 def is_heading_along_road(world: World, pose: Pose) -> BoolArray:
-    """Return whether a pose points along its road's s, shape (N,); a pose exactly across the road counts as along."""
+    """Return whether a pose points in the direction of s on its road, shape (N,); True if exactly across the road."""
     return is_facing_forward(pose.heading - road_heading(world, pose))
 
 
 def locate_on_road(world: World, entity: int, where: BoolArray) -> None:
-    """Locate an entity on its road for the kernels of the coming frame, in the scenarios of a mask."""
+    """Store road, s and road direction of an entity in the scenarios of a mask, for kernels in the coming frame."""
     if world.network is None:
         return
     follows = follows_lane(world, entity)
@@ -100,7 +100,7 @@ def locate_on_road(world: World, entity: int, where: BoolArray) -> None:
 
 
 def _road_headings(network: RoadNetwork, road: IntArray, s: FloatArray) -> FloatArray:
-    """Return the direction of s at positions on roads, in rad, shape (R,)."""
+    """Return the direction in rad in which s increases at R positions on roads, shape (R,)."""
     heading = np.zeros(len(s))
     for number in np.unique(road):
         rows = road == number
@@ -109,7 +109,10 @@ def _road_headings(network: RoadNetwork, road: IntArray, s: FloatArray) -> Float
 
 
 def distance_ahead_on_road(world: World, entity: int, target: Pose, default: FloatArray) -> FloatArray:
-    """Return the distance ahead to a target along the reference line in m, (N,); `default` if it is on another road."""
+    """Return the distance in m from an entity to a target along the reference line of their road, shape (N,).
+
+    The distance is positive if the target is ahead. It is `default` if the target is on another road.
+    """
     if world.network is None or target.road is None or target.s is None:
         return default
     own_pose = road_pose(world, entity)
@@ -119,7 +122,7 @@ def distance_ahead_on_road(world: World, entity: int, target: Pose, default: Flo
 
 
 def relative_lane(world: World, pose: Pose, other: Pose) -> IntArray:
-    """Return the number of lanes from `pose` to `other`, shape (N,), positive to the left in driving direction."""
+    """Return by how many lanes `other` is to the left of `pose` (negative: right), in driving direction, shape (N,)."""
     lane, other_lane = pose.road_coordinates()[1], other.road_coordinates()[1]
     # Lane 0 is the centre line, not a lane.
     difference = other_lane - lane
@@ -129,7 +132,10 @@ def relative_lane(world: World, pose: Pose, other: Pose) -> IntArray:
 
 
 def is_opposite_direction(world: World, entity: int, pose: Pose) -> BoolArray:
-    """Return where s of the pose's road runs against that of the entity's road, along its lane, shape (N,)."""
+    """Return in which scenarios s runs in opposite directions on the roads of an entity and of a pose, shape (N,).
+
+    The directions are compared along the lane path of the entity. False if the path does not use the pose's road.
+    """
     assert pose.road is not None
     result = np.zeros(world.scenarios, dtype=np.bool_)
     for _, track, rows in world.iter_followed_tracks(entity, world.present[entity]):
@@ -147,7 +153,10 @@ def is_opposite_direction(world: World, entity: int, pose: Pose) -> BoolArray:
 
 
 def has_drivable_lane_in_range(world: World, pose: Pose, first: int, last: int, opposite: bool) -> BoolArray:
-    """Return where a drivable lane (or an `opposite` one) is `first` to `last` lanes to the left of a pose, (N,)."""
+    """Return in which scenarios a drivable lane is `first` to `last` lane numbers above the lane of a pose, (N,).
+
+    Lanes on the other side of the road count only if `opposite`.
+    """
     assert world.network is not None
     roads, lanes, s = pose.road_coordinates()
     result = np.zeros(world.scenarios, dtype=np.bool_)

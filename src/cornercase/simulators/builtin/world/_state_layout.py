@@ -1,6 +1,7 @@
-"""Layout of the state tables of a batch: the constants are rows, in tables indexed (scenario, row, entity).
+"""Layout of the tables that hold the state of a batch of scenarios.
 
-A kernel that works on one scenario therefore works on one block of memory.
+The constants are row numbers in tables indexed (scenario, row, entity). So all values of a scenario are in one block of
+memory, which makes kernels fast.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from typing import Final
 """Rows of `World.floats`."""
 
 N_FLOAT_ROWS: Final = 26
+"""Number of rows of `World.floats`."""
 
 (
     PRESENT, CHANGES_LANES, STRANDED, MOVED, DECIDED, ACTIVATED, DRIVEN, VISIBLE, JUMPED, STEERED,
@@ -35,7 +37,7 @@ FLOAT_ROWS: Final = {
     "from_y": (FROM_Y, _NAN), "from_heading": (FROM_HEADING, _NAN), "before": (BEFORE, 0.0),
     "road_heading": (ROAD_HEADING, _NAN),
 }  # fmt: skip
-"""Row and initial value by name of the array in `World`; velocities have two rows each."""
+"""Row and initial value of each array of floats in `World`, by name; vectors have two rows and are not listed."""
 
 FLAG_ROWS: Final = {
     "present": (PRESENT, False), "changes_lanes": (CHANGES_LANES, False), "stranded": (STRANDED, False),
@@ -43,11 +45,15 @@ FLAG_ROWS: Final = {
     "visible": (VISIBLE, True), "jumped": (JUMPED, False),
     "steered": (STEERED, False),
 }  # fmt: skip
+"""Row and initial value of each array of flags in `World`, by name."""
 
 INTEGER_ROWS: Final = {
     "track": (TRACK, -1), "route": (ROUTE, 0), "last_road": (LAST_ROAD, -1), "driver": (DRIVER, -1),
     "pulled_by": (PULLED_BY, -1),
 }  # fmt: skip
+"""Row and initial value of each array of integers in `World`, by name."""
 
 MAX_LANE_OFFSET: Final = 1.0
-"""Offset in m from the new lane beyond which the lane of an entity that changes lanes is looked up."""
+"""m; an entity that changes lanes counts as on the new lane if its offset from this lane is smaller.
+
+Otherwise the lane is looked up from the position."""

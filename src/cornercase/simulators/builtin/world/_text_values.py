@@ -1,4 +1,4 @@
-"""Values of variables and parameters as texts, and whether conditions in a file use them."""
+"""Values of variables and parameters as texts, and the check if any condition in a file can use them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,10 @@ _BOOLEAN_TEXTS: Final = {"true": "true", "1": "true", "false": "false", "0": "fa
 
 
 def read_text_value(element: etree._Element, scope: Scope, values: npt.NDArray[np.str_]) -> str:
-    """Read the ``value`` of an element; ``"true"`` or ``"false"`` if the variable or parameter is boolean."""
+    """Read the ``value`` of an element as text.
+
+    If all present `values` of the variable or parameter are boolean, 1 and 0 are read as ``"true"`` and ``"false"``.
+    """
     text = scope.read_text(element, "value")
     if not set(np.unique(values)) <= {"true", "false"} or text.lower() not in _BOOLEAN_TEXTS:
         return text
@@ -27,7 +30,10 @@ def read_text_value(element: etree._Element, scope: Scope, values: npt.NDArray[n
 
 
 def is_unused_by_conditions(element: etree._Element, *conditions: str) -> bool:
-    """Return whether no condition with one of the tags is in the file of an element; False if catalogs may have one."""
+    """Return whether the scenario file of an element holds no condition with one of the given tags.
+
+    Returns False if the file uses catalogs of maneuvers, since these may hold one.
+    """
     root = element.getroottree().getroot()
     # This search must not mark elements as read.
     found_conditions = iter_descendants_untracked(root, *conditions)

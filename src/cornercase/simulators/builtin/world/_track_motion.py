@@ -1,4 +1,4 @@
-"""Move entities along their tracks outside of kernels."""
+"""Motion of entities along their tracks in Python, not in kernels."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from cornercase.simulators.builtin.world._world import World
 
 
 def update_off_road_since(world: World, where: BoolArray) -> None:
-    """Update the times since which entities are off the road, in the scenarios of a mask."""
+    """Update in the scenarios of a mask since when each entity has been off the road; infinite if it is on the road."""
     # As in esmini, no entity is off the road before the first time step.
     current_time = np.where(world.last_step > 0.0, world.time, np.inf)
     for e, since in enumerate(world.off_road_since):
@@ -23,7 +23,7 @@ def update_off_road_since(world: World, where: BoolArray) -> None:
 
 
 def extend_lane_paths(world: World) -> None:
-    """Make entities near the end of their lane path follow its next part."""
+    """Make entities near the end of their lane path follow the next part of the path."""
     for e, tracks in enumerate(world.tracks):
         for k, track in enumerate([*tracks]):
             if isinstance(track, LaneTrack) and track.is_continued:
@@ -31,25 +31,25 @@ def extend_lane_paths(world: World) -> None:
 
 
 def heading_velocity(world: World) -> tuple[FloatArray, FloatArray]:
-    """Return the components in x and y of velocities along the headings, in m/s, shape (E, N) each."""
+    """Return x and y components in m/s of velocities with each entity's speed along its heading, shape (E, N) each."""
     return world.speed * np.cos(world.heading), world.speed * np.sin(world.heading)
 
 
 def heading_acceleration(world: World) -> FloatArray:
-    """Return the acceleration along the heading in the last step, in m/s², shape (E, N)."""
+    """Return the acceleration of entities along their headings in the last step, in m/s², shape (E, N)."""
     return np.asarray(
         world.step_acceleration[0] * np.cos(world.heading) + world.step_acceleration[1] * np.sin(world.heading)
     )
 
 
 def update_pose_on_track(world: World, entity: int, where: BoolArray) -> None:
-    """Update an entity's pose from its position on the track at once."""
+    """Set the pose of an entity from its distance and offset on its track, in the scenarios of a mask."""
     for _, track, at in world.iter_followed_tracks(entity, where):
         _set_pose_from_track(world, entity, track, at)
 
 
 def shift_along_track(world: World, entity: int, where: BoolArray, distance: FloatArray) -> None:
-    """Shift an entity by `distance` m, shape (N,), along its track, before the frame moves it."""
+    """Shift an entity along its track by `distance` m, shape (N,), in addition to the motion of the frame."""
     for _, track, at in world.iter_followed_tracks(entity, where):
         before = world.distance[entity][at]
         world.distance[entity][at] = (
@@ -61,7 +61,7 @@ def shift_along_track(world: World, entity: int, where: BoolArray, distance: Flo
 
 
 def shift_along_trajectory(world: World, entity: int, where: BoolArray, distance: FloatArray) -> None:
-    """Shift an entity that goes along a trajectory by `distance` m ahead, shape (N,), at most to one of its ends."""
+    """Shift an entity on a trajectory forwards by `distance` m, shape (N,), at most to the end of the trajectory."""
     for _, track, at in world.iter_followed_tracks(entity, where):
         if isinstance(track, Trajectory):
             ahead = distance[at] * np.cos(world.turn[entity][at])
@@ -72,7 +72,10 @@ def shift_along_trajectory(world: World, entity: int, where: BoolArray, distance
 def move_to_pose(
     world: World, entity: int, x: FloatArray, y: FloatArray, heading: FloatArray, where: BoolArray
 ) -> None:
-    """Move an entity that its driver or another simulator steers to its pose at the end of the coming step, (N,)."""
+    """Move an entity to a pose that its driver or another simulator gives for the end of the coming step, arrays (N,).
+
+    If the entity follows a track, its distance, offset and angle to the track are updated.
+    """
     for state, values in ((world.x, x), (world.y, y), (world.heading, heading)):
         state[entity][where] = values[where]
     world.moved[entity] |= where

@@ -16,16 +16,17 @@ from cornercase.scenario._scope import Scope
 from cornercase.simulators.builtin.world._text_values import is_unused_by_conditions
 
 SIGNAL_CONDITIONS: Final = ("TrafficSignalCondition", "TrafficSignalControllerCondition")
-"""Conditions on traffic signals."""
+"""Tags of conditions on traffic signals."""
 
 # Tolerance in s for times that are multiples of the time step.
 _TINY: Final = 1e-6
 
 
 class SignalController:
-    """Switches traffic signals at the start of each phase; other changes of a signal last until the next phase.
+    """Controller that sets the states of traffic signals at the start of each phase, in a cycle of P phases.
 
-    `states` has the state of each signal in each of P phases. `durations` (P, N) and `delay` (N,) are in s.
+    A signal that an action changes keeps its state until the next phase. `names` are the names of the phases, `states`
+    the states of signals in each phase, by signal. `durations` (P, N) of phases and `delay` (N,) are in s.
     """
 
     def __init__(
@@ -39,24 +40,27 @@ class SignalController:
         self._phase = np.full(len(delay), -1)
 
     def phase_at(self, time: FloatArray) -> IntArray:
-        """Return the index of the phase at times in s, shape (N,)."""
+        """Return the index of the phase at a time in s in each scenario, shape (N,)."""
         since = np.mod(time - self._cycle_start + _TINY, self._phase_ends[-1])
         return np.asarray(np.minimum((self._phase_ends <= since).sum(axis=0), len(self.names) - 1), dtype=np.int64)
 
     def next_phase_start(self, time: FloatArray) -> FloatArray:
-        """Return the time in s at which the next phase begins, shape (N,); now if the signals have never been set."""
+        """Return the time in s at which the next phase begins, shape (N,).
+
+        It is the present time if the signals have not been set since the start or since an action began a phase.
+        """
         since = np.mod(time - self._cycle_start + _TINY, self._phase_ends[-1])
         ends = np.take_along_axis(self._phase_ends, self.phase_at(time)[None], axis=0)[0]
         return np.where(self._phase < 0, time, time + (ends - since))
 
     def start_phase(self, phase: int, time: FloatArray, where: BoolArray) -> None:
-        """Start a phase now in the scenarios of a mask; the cycle continues from there."""
+        """Start a phase now in the scenarios of a mask; the cycle continues from this phase."""
         begins = self._phase_ends[phase - 1] if phase else np.zeros(self._phase_ends.shape[1])
         self._cycle_start[where] = (time - begins)[where]
         self._phase[where] = -1
 
     def update_signals(self, signals: dict[str, npt.NDArray[np.str_]], time: FloatArray, where: BoolArray) -> None:
-        """Set the signals in scenarios of a mask in which a new phase has begun."""
+        """Set the states of signals in those scenarios of a mask in which a new phase has begun."""
         phases = np.where(where, self.phase_at(time), self._phase)
         for k in np.unique(phases[phases != self._phase]):
             has_started = (phases == k) & (phases != self._phase)
@@ -66,7 +70,7 @@ class SignalController:
 
 
 def read_signal_controllers(root: etree._Element, scope: Scope) -> dict[str, SignalController]:
-    """Read the traffic signal controllers below ``OpenSCENARIO``, by name."""
+    """Read the traffic signal controllers of a scenario from the root of its file; return them by name."""
     controllers: dict[str, SignalController] = {}
     for element in root.iterfind("RoadNetwork/TrafficSignals/TrafficSignalController"):
         name = scope.read_text(element, "name")
@@ -116,7 +120,7 @@ def _require_signal_controller(
 def read_signal_phase(
     element: etree._Element, scope: Scope, controllers: dict[str, SignalController]
 ) -> tuple[SignalController, int]:
-    """Return the signal controller that an element names, and the index of its phase."""
+    """Return the traffic signal controller that an element names, and the index of the phase that it names."""
     name, phase = scope.read_text(element, "trafficSignalControllerRef"), scope.read_text(element, "phase")
     controller = _require_signal_controller(element, name, scope, controllers)
     if phase not in controller.names:

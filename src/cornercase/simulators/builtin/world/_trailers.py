@@ -1,4 +1,4 @@
-"""Trailers, and the vehicles that pull them."""
+"""Trailers, and their connections to the vehicles that pull them."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray
 from cornercase.simulators.builtin.world._world import Entity, Tow, World
 
-# More trailers mean that a catalog entry pulls itself.
+# A longer row of trailers means that a catalog entry pulls itself.
 MAX_TRAILERS: Final = 20
 
 
 def read_tow(vehicle: int, trailer: int, entities: Sequence[Entity]) -> Tow:
-    """Read how a trailer is connected to a vehicle (both rows); raises `InputError` without hitch or coupler."""
+    """Read how a trailer is connected to a vehicle (both indices); raise `InputError` without hitch or coupler."""
     bodies = entities[vehicle].body, entities[trailer].body
     assert bodies[0] is not None
     assert bodies[1] is not None
@@ -24,14 +24,15 @@ def read_tow(vehicle: int, trailer: int, entities: Sequence[Entity]) -> Tow:
     hitch, coupler = front.find("TrailerHitch"), rear.find("TrailerCoupler")
     if hitch is None or coupler is None:
         raise InputError(
-            f"{front_scope.file_name}: '{entities[vehicle].name}' cannot pull '{entities[trailer].name}', as it has no"
+            f"{front_scope.file_name}: '{entities[vehicle].name}' cannot pull '{entities[trailer].name}', as"
+            f" '{entities[vehicle if hitch is None else trailer].name}' has no"
             f" {'<TrailerHitch>' if hitch is None else '<TrailerCoupler>'}."
         )
     return Tow(vehicle, trailer, front_scope.read_number(hitch, "dx"), rear_scope.read_number(coupler, "dx"))
 
 
 def sort_front_to_back(tows: Sequence[Tow]) -> tuple[Tow, ...]:
-    """Sort pairs of vehicle and trailer from front to back."""
+    """Sort connections so that the connection of a vehicle comes before the connections of trailers behind it."""
     behind = {tow.trailer: tow.vehicle for tow in tows}
 
     def depth(entity: int) -> int:
@@ -44,7 +45,7 @@ def sort_front_to_back(tows: Sequence[Tow]) -> tuple[Tow, ...]:
 
 
 def align_trailers(world: World, entity: int, where: BoolArray) -> None:
-    """Place all trailers of an entity straight behind it."""
+    """Place all trailers of an entity, and their own trailers, straight behind the entity."""
     for tow in world.tows:
         if tow.vehicle == entity:
             pulled = where & (world.pulled_by[tow.trailer] == entity)

@@ -1,6 +1,6 @@
 """State of all entities in all concrete scenarios of a batch.
 
-Arrays are indexed (entity, scenario), so that the values of an entity are contiguous in memory.
+Arrays are indexed (entity, scenario); their first axis is the entity.
 """
 
 from __future__ import annotations
@@ -44,10 +44,10 @@ LONGITUDINAL, LATERAL = "longitudinal", "lateral"
 
 
 class SpeedController(Protocol):
-    """Decides the speed of an entity that it controls."""
+    """Controller that decides the speed of an entity."""
 
     def step(self, dt: float) -> None:
-        """Decide the entity's speed at the end of the coming time step."""
+        """Decide the speed of the entity at the end of the coming time step of `dt` s."""
         ...
 
 
@@ -55,11 +55,11 @@ class SpeedController(Protocol):
 class Entity:
     """Constant properties of an entity.
 
-    `kind`: vehicle category, ``"pedestrian"`` or ``"misc"``. The box is in m; limits are in m/s and m/s², infinite if
-    not set. `wheelbase` in m and `max_steering` in rad have defaults if the file has no axles. `slides`: whether it
-    follows trajectories with any heading that they define. `polyline_turning`: where its heading turns along a polyline
-    (`ALONG_SEGMENTS`, `AT_CORNERS`, `AT_VERTICES`); None if the following mode decides.
-    `body`: its element in the file, and the scope to read it in.
+    `kind`: vehicle category, ``"pedestrian"`` or ``"misc"``. The bounding box is in m; limits are in m/s and m/s², and
+    infinite if not set. `wheelbase` in m and `max_steering` in rad have defaults if the file has no axles. `slides`:
+    True if the entity goes along a trajectory with any heading that the trajectory defines. `polyline_turning`:
+    `ALONG_SEGMENTS`, `AT_CORNERS` or `AT_VERTICES`; None if the following mode decides where the heading changes along
+    a polyline. `body`: XML element of the entity, and the scope in which to read it.
     """
 
     name: str
@@ -78,7 +78,7 @@ class Entity:
 
     @property
     def driven_body(self) -> Body:
-        """The entity as its driver knows it."""
+        """Properties of the entity, as given to its driver."""
         return Body(
             self.name,
             self.kind,
@@ -95,10 +95,10 @@ class Entity:
 
 @dataclass(frozen=True)
 class Tow:
-    """A vehicle and a trailer (both rows) that it pulls, or may pull later.
+    """Connection of a vehicle and a trailer that the vehicle pulls, or may pull later.
 
-    `hitch` is the distance of the connection ahead of the vehicle's reference point in m; `coupler` is its distance
-    ahead of the trailer's reference point.
+    `vehicle` and `trailer` are indices of entities. `hitch` and `coupler` are the distances in m of the connection
+    ahead of the reference points of vehicle and trailer.
     """
 
     vehicle: int
@@ -108,32 +108,31 @@ class Tow:
 
 
 class World:
-    """State of E entities in N concrete scenarios; `_state_layout` documents the rows of its tables.
+    """State of E entities in N concrete scenarios; the module `_state_layout` lists the rows of its tables.
 
-    The arrays (E, N) are views of `floats`, `flags` and `numbers` (N, K, E): write into them, and never replace them.
-    `overlapping` (E, E, N) is a view of `overlaps` (N, E, E).
+    The arrays (E, N) are views of the tables `floats`, `flags` and `numbers` (N, K, E): write into these arrays, and
+    never replace them. `overlapping` (E, E, N) is a view of `overlaps` (N, E, E).
 
-    Time: `time`, `last_step` (N,), `time_step` and the longest `duration` in s. `running` (N,): scenarios in the
-    current frame. `changed` (N,): scenarios whose storyboard has changed in this frame. `started`: whether the first
-    frame is over, in which nothing moves.
+    Time in s: `time` and `last_step` (N,), `time_step`, and the longest `duration`. `running` (N,): scenarios that take
+    part in the current frame. `changed` (N,): scenarios whose storyboard has changed in this frame. `started`: True
+    after the first frame, in which nothing moves.
 
-    Motion: `friction` (N,): coefficient of the road, for vehicle models. `step_velocity` in m/s and `step_acceleration`
-    in m/s² of the last step, as x and y. `needs_road_check`: whether a condition asks for entities off the road.
-    `tracks`: all tracks that each entity has followed. `routes`: all assigned routes, as (road, lane, s).
-    `lane_tracks`: cache of tracks along lanes.
+    Motion: `friction` (N,): friction coefficient of the road, for vehicle models. `step_velocity` in m/s and
+    `step_acceleration` in m/s²: x and y components in the last step. `needs_road_check`: True if a condition asks for
+    entities off the road. `tracks`: all tracks that each entity has followed. `routes`: all assigned routes, as (road,
+    lane, s). `lane_tracks`: cache of tracks along lanes.
 
-    Storyboard: `variables` and `parameters`: values (N,), numbers or texts. `values`: values by scenario (N) that
-    differ from those in the file. `signals`: states (N,), texts.
-    `selections`: rows of entities. `positioned_entity`: row of the entity whose position is being resolved.
-    `current_action`: line and name of the action that acts, for errors. `evaluate_leaves`: evaluates the leaves of all
-    conditions in the running scenarios. `has_leaf_values`: whether that was done since an action last changed the
-    state.
+    Storyboard: `variables` and `parameters`: values (N,), numbers or texts. `values`: parameter values that differ from
+    the file, by scenario. `signals`: states of traffic signals (N,), texts. `selections`: indices of entities, by name.
+    `positioned_entity`: index of the entity whose position is being resolved. `current_action`: line and name of the
+    action that acts, for errors. `evaluate_leaves`: function that evaluates all leaf conditions in the running
+    scenarios. `has_leaf_values`: True if they were evaluated since an action last changed the state.
 
-    Drivers: `drivers`: all that may control entities. `has_fixed_driver` (E): whether the user chose the driver, so
-    that the file cannot change it. `seeds`: of random numbers, by scenario.
+    Drivers: `drivers`: all drivers that may control entities. `has_fixed_driver` (E): True if the user chose the
+    driver, so that the file cannot change it. `seeds`: seeds of random numbers, by scenario.
 
-    Results: `errors`: by scenario. `notices`: sentences on deviations from the file, without full stop, each once.
-    `compiled`: the calls to kernels, once the run is prepared.
+    Results: `errors`: errors by scenario. `notices`: sentences on deviations from the file, without full stop, each
+    once. `compiled`: access to kernels, set when the run is prepared.
     """
 
     x: FloatArray
@@ -228,19 +227,19 @@ class World:
             self.pulled_by[tow.trailer] = tow.vehicle
 
     def iter_followed_tracks(self, entity: int, where: BoolArray) -> Iterator[tuple[int, Track, IntArray]]:
-        """Yield each track that an entity follows in some scenarios of a mask: number, track, and these scenarios."""
+        """Yield each track that an entity follows in scenarios of a mask: number, track, and scenario indices."""
         for number, track in enumerate(self.tracks[entity]):
             rows = np.flatnonzero(where & (self.track[entity] == number))
             if rows.size:
                 yield number, track, rows
 
     def entities_of_type(self, object_type: str) -> list[int]:
-        """Return the rows of all entities of an ``ObjectType``."""
+        """Return the indices of all entities of an ``ObjectType``: pedestrian, miscellaneous or vehicle."""
         types = {"pedestrian": "pedestrian", "misc": "miscellaneous"}
         return [e for e, entity in enumerate(self.entities) if types.get(entity.kind, "vehicle") == object_type]
 
     def update_overlaps(self) -> None:
-        """Update which bounding boxes overlap."""
+        """Update in `overlapping` which bounding boxes of entities overlap now."""
         for a, b in combinations(range(len(self.entities)), 2):
             self.overlapping[a, b] = self.overlapping[b, a] = self.compiled.find_overlaps(a, b)
 
@@ -252,7 +251,7 @@ class World:
         return box_corners(x, y, self.heading, length, width)
 
     def fail(self, where: BoolArray, reason: str | SimulationError) -> None:
-        """End the scenarios of a mask with an error."""
+        """Store an error for the running scenarios of a mask, and end these scenarios."""
         for i in np.flatnonzero(where & self.running).tolist():
             if isinstance(reason, SimulationError):
                 self.errors[i] = reason
@@ -270,20 +269,26 @@ class World:
         where: BoolArray,
         label: NoticeLabel = NoticeLabel.ADAPTED,
     ) -> None:
-        """Note that `subject` at `location` (file and line) is not run as written, but as `reason` says."""
+        """Add a notice that `subject` at `location` (file and line) is not run as written; `reason` says what happens.
+
+        The same notice is added only once.
+        """
         first = np.flatnonzero(where & self.running)
         sentence = f"{label}: {subject} ({location}): {reason}"
         if first.size and not any(notice.startswith(f"{sentence}; ") for notice in self.notices):
             self.notices[f"{sentence}; first at {self.time[first[0]]:.6g} s"] = None
 
     def update_leaf_values(self) -> None:
-        """Evaluate the leaves of all conditions, unless they are up to date."""
+        """Evaluate all leaf conditions in the running scenarios, unless their values are up to date."""
         if not self.has_leaf_values:
             self.evaluate_leaves()
             self.has_leaf_values = True
 
     def set_speed(self, entity: int, where: BoolArray, speed: FloatArray) -> None:
-        """Set an entity's speed (or the target speed of its driver) in the scenarios of a mask."""
+        """Set the target speed of an entity in m/s in the scenarios of a mask.
+
+        Unless a driver controls the entity, also set its speed.
+        """
         self.target_speed[entity][where] = speed[where]
         undriven = where & ~self.driven[entity]
         self.speed[entity][undriven] = speed[undriven]
@@ -292,7 +297,7 @@ class World:
     def assign_control(
         self, entity: int, where: BoolArray, driver: int | None = None, activated: bool | None = None
     ) -> None:
-        """Assign a driver (-1 for none), or activate or deactivate it; an argument of None changes nothing."""
+        """Assign a driver to an entity (-1: none), or activate or deactivate the driver; None changes nothing."""
         if driver is not None:
             self.driver[entity][where] = driver
         if activated is not None:
