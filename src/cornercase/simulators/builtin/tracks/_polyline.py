@@ -150,7 +150,7 @@ def _speeds_and_accelerations(
         span = np.where(has_duration[:, k], spans[:, k], 1.0)
         rate = 2.0 * (mean[:, k] - speeds[-1]) / span
         speed = speeds[-1] + rate * span
-        # There is so much time that the entity would have to drive backwards: it stops at the next vertex too early.
+        # With more time than it needs, the entity would have to go backwards: it stops at the next vertex too early.
         stops = (speed < 0.0) != (speeds[-1] < 0.0)
         has_length = segment_lengths[:, k] > VERTEX_TOLERANCE
         braking = -(speeds[-1] ** 2) / (2.0 * np.where(has_length, segment_lengths[:, k], 1.0))
