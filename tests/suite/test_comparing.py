@@ -402,7 +402,7 @@ def test_another_scenario_is_refused_and_imported_recordings_are_not(tmp_path):
         if simulator == "imported":
             assert not compared(old, new)
         else:
-            with pytest.raises(InputError, match=r"other scenarios \(old builtin.xosc, new builtin.xosc\)"):
+            with pytest.raises(InputError, match=r"different scenarios \(old builtin.xosc, new builtin.xosc\)"):
                 compared(old, new)
 
 

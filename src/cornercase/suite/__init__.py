@@ -1,4 +1,4 @@
-"""Run a suite (a few selected scenarios) again: verdicts, requirements, and what has changed."""
+"""Run suites (sets of concrete scenarios), judge them by requirements, and compare versions of the tested system."""
 
 import lazy_loader as lazy
 

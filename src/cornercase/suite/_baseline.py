@@ -1,4 +1,4 @@
-"""Compare the recordings of a suite with the recordings that the suite was selected from."""
+"""Compare the recordings of a suite run with those in its baseline, an earlier study of the same scenarios."""
 
 from __future__ import annotations
 
@@ -19,7 +19,10 @@ _MAX_NAME_BYTES: Final = 255
 
 
 def find_baseline_study(suite: SuiteContents, against: Path | None) -> tuple[Path | None, str]:
-    """Return the earlier study of a suite: `against`, else one found near the manifest, else None and why not."""
+    """Return the study to compare a suite run with, and an empty text; or None, and the reason why there is none.
+
+    If `against` is None, the study that the suite was selected from is searched near the manifest.
+    """
     if against is not None:
         with StudyFile.open(against, readonly=True) as study, reraise_as_damage(against):
             _read_baseline(suite, study)
@@ -41,7 +44,10 @@ def find_baseline_study(suite: SuiteContents, against: Path | None) -> tuple[Pat
 
 
 def compare_with_baseline(suite: SuiteContents, baseline: Path, study: StudyFile) -> dict[int, RecordingDifference]:
-    """Return how recordings of a suite differ from earlier ones, by scenario id in `study`, where both ran."""
+    """Return how the recordings in `study`, a suite run, differ from those in the baseline, by scenario id in `study`.
+
+    Scenarios that did not run in both studies are left out.
+    """
     with StudyFile.open(baseline, readonly=True) as earlier, reraise_as_damage(baseline):
         sources = _match_baseline_rows(suite, earlier)
         differences = {}
@@ -57,9 +63,9 @@ def compare_with_baseline(suite: SuiteContents, baseline: Path, study: StudyFile
 
 
 def find_changed_driver(baseline: Path, study: StudyFile) -> tuple[str, str] | None:
-    """Return the ego's drivers in the earlier study and in this one, if they are others; None if only options differ.
+    """Return the ego's drivers in the baseline and in `study` if their names differ; None if not, or if unknown.
 
-    A driver is another one if it has another name: versions of the same one are what a suite compares.
+    Options and versions of a driver do not matter, since a suite is run to compare versions of the same driver.
     """
     with StudyFile.open(baseline, readonly=True) as earlier, reraise_as_damage(baseline):
         drivers = [meta.ego_driver for meta in (earlier.meta, study.meta)]
@@ -71,7 +77,7 @@ def find_changed_driver(baseline: Path, study: StudyFile) -> tuple[str, str] | N
 
 
 def _read_baseline(suite: SuiteContents, study: StudyFile) -> None:
-    """Read all that is compared later from the earlier study, so that damage is reported before the suite is run."""
+    """Read everything in the baseline that is compared later, so that damage is reported before the suite is run."""
     for row in _match_baseline_rows(suite, study).values():
         if row.state == "done":
             study.recording(row.id)
@@ -79,7 +85,7 @@ def _read_baseline(suite: SuiteContents, study: StudyFile) -> None:
 
 
 def _match_baseline_rows(suite: SuiteContents, study: StudyFile) -> Mapping[int, ScenarioRecord]:
-    """Return the scenarios of the earlier study, by the ids of the same scenarios in the suite."""
+    """Return the scenarios of the baseline, by the id of the same scenario in the suite."""
     rows = {row.id: row for row in study.rows()}
     if study.meta.suite:
         id_of = {file: k for k, file in enumerate(study.meta.files, start=1)}
@@ -98,8 +104,8 @@ def _match_baseline_rows(suite: SuiteContents, study: StudyFile) -> Mapping[int,
         row = rows.get(scenario.source_id or 0)
         if row is None or dict(row.values) != dict(scenario.values):
             raise InputError(
-                f"`against` {study.path}: has another scenario {scenario.source_id} than {suite.path} was made from;"
-                " name the study that was reduced."
+                f"`against` {study.path}: its scenario {scenario.source_id} is not the one that {suite.path} was made"
+                " from; name the study that was reduced."
             )
         sources[k] = row
     return sources

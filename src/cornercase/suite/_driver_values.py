@@ -1,4 +1,4 @@
-"""Values of drivers in a suite, such as ``Ego.reaction``, for the drivers that drive in a run."""
+"""Parameter values of drivers in a suite, such as ``Ego.reaction``, for the drivers of a run."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from cornercase.suite._suite_contents import SuiteContents, SuiteScenario
 def with_values_of_drivers(
     suite: SuiteContents, simulator: str | Simulator, drivers: Mapping[str, str | Driver]
 ) -> SuiteContents:
-    """Return a suite whose scenarios give the drivers of this run their own values.
+    """Return the suite with `driver_values` set: the values in each scenario for parameters of this run's drivers.
 
-    A driver that a file names has them as options there. A notice names values that a driver of this run does not take.
-    Raises `InputError` if the simulator takes no such values.
+    Values of drivers that a scenario file names are in that file. A notice names values that a driver of this run does
+    not take. Raises `InputError` if the simulator takes no parameters of drivers.
     """
     made = {
         entity: driver_by_name(driver) if isinstance(driver, str) else driver

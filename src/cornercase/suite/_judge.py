@@ -21,7 +21,7 @@ from cornercase.study._damage import reraise_as_damage
 from cornercase.suite._requirement import Requirement
 from cornercase.suite._verdict import Verdict, VerdictState
 
-# The verdict against several others is the first of these that occurs.
+# With several other entities, the verdict is the first of these states that occurs.
 _STATE_PRIORITY: Final = ("failed", "passed", "inconclusive")
 _STATES: Final[dict[bool | None, VerdictState]] = {True: "passed", False: "failed", None: "inconclusive"}
 
@@ -44,14 +44,15 @@ def judge(
     ego : str
         Name of the entity under test.
     other : str or sequence of str
-        Entity that formulas and bounds refer to. If there are several, the requirement is judged for each of them. It
-        is failed if it is failed for any, and passed if it is passed for at least one and failed for none. The verdict
-        with the smallest robustness is returned, and names its entity.
+        Entity that formulas and bounds refer to. If there are several, the requirement is judged against each of them.
+        It is failed if it is failed against any entity, and otherwise passed if it is passed against at least one. Of
+        the verdicts with this state, the one with the smallest robustness is returned, and its reason names the entity.
     courses : mapping of str to ndarray of float64, shape (T,), optional
-        Courses of metrics by name, if they are known already. If there are several other entities, only those that do
-        not depend on them are used.
+        Courses (values over time) of metrics by name, if they are known already. If there are several other entities,
+        only courses of metrics that do not depend on the other entity are used.
     references : mapping of str to ReferenceOutcome, optional
-        Outcomes of the scenario with reference drivers that the requirement names, by driver, if they were run.
+        Outcomes of the scenario with the reference drivers that the requirement names, by name of the driver. Drivers
+        that were not run are left out.
 
     Returns
     -------
@@ -62,7 +63,7 @@ def judge(
     Raises
     ------
     InputError
-        The recording has no entity of that name.
+        The recording has no entity with the name `ego` or `other`.
 
     Examples
     --------
@@ -91,7 +92,7 @@ def _judge(
     references: Mapping[str, ReferenceOutcome] | None = None,
     faults: Mapping[Collision, Fault] = MappingProxyType({}),
 ) -> Verdict:
-    """Judge a recording; `faults` of collisions that are known are used."""
+    """Judge a recording like `judge`; `faults` says who is at fault in collisions for which this is known already."""
     texts = {name: outcome.describe(name) for name, outcome in (references or {}).items()}
     collides = {name: outcome.collides for name, outcome in (references or {}).items()}
     try:
@@ -112,7 +113,10 @@ def _judge(
 
 
 def compute_margin(requirement: Requirement, recording: Recording, ego: str, others: Sequence[str]) -> float | None:
-    """Return by how much a recording fulfills a requirement, in its unit; negative if violated, None for collisions."""
+    """Return the margin by which a recording fulfills a requirement, in the requirement's unit; negative if violated.
+
+    None if the requirement has no margin, such as ``"no collision"``.
+    """
     if not requirement.expression.has_margin:
         return None
     evaluations = evaluate_run(requirement.expression.root, recording, ego, others).values()
@@ -120,7 +124,10 @@ def compute_margin(requirement: Requirement, recording: Recording, ego: str, oth
 
 
 def measure_margins(study: StudyFile, verdicts: Mapping[int, Sequence[Verdict]]) -> dict[int, dict[str, float]]:
-    """Return the margin of each verdict that passed or failed, by scenario id and requirement; without collisions."""
+    """Return the margins by which requirements are fulfilled (negative: violated), by scenario id and requirement.
+
+    Inconclusive verdicts, and requirements without a margin such as ``"no collision"``, are left out.
+    """
     margins: dict[int, dict[str, float]] = {}
     for scenario, of_scenario in verdicts.items():
         decided = [Requirement.parse(verdict.requirement) for verdict in of_scenario if verdict.state != "inconclusive"]
@@ -136,7 +143,7 @@ def measure_margins(study: StudyFile, verdicts: Mapping[int, Sequence[Verdict]])
 
 
 def depends_on_reference(requirement: Requirement, recording: Recording, ego: str, others: Sequence[str]) -> bool:
-    """Tell whether the verdict on a recording cannot be decided before reference drivers have been run."""
+    """Return whether reference drivers have to be run to decide the verdict on a recording."""
     evaluations = evaluate_run(requirement.expression.root, recording, ego, others).values()
     return any(evaluation.is_fulfilled() is None for evaluation in evaluations)
 
@@ -177,7 +184,7 @@ def judge_scenario(study: StudyFile, row: ScenarioRecord, requirements: list[Req
 
 
 def _stored_faults(study: StudyFile, scenario: int, recording: Recording) -> dict[Collision, Fault]:
-    """Whose fault the collisions of a scenario are, as found when it ended: its roads were known then."""
+    """Return who is at fault in the collisions of a scenario, as stored after its run, when its roads were known."""
     stored = {(hit.time, hit.entity): hit.fault for hit in study.digest(scenario).outcomes[0].impacts}
     faults = {}
     for collision in recording.collisions:

@@ -24,8 +24,8 @@ def write_junit(result: SuiteResult, path: Path) -> None:
     """Write a JUnit test case for each scenario.
 
     Each case is in a test suite of its own, since only test suites can have properties. A violated requirement is a
-    failure, an inconclusive verdict a skipped test, and a failed simulation an error. Times are those within the
-    scenario, so the same results give the same bytes.
+    failure, an inconclusive verdict a skipped test, and a failed simulation an error. Times are simulated
+    times, so the same results give the same bytes.
     """
     path_ = result.suite.resolve()
     name = _to_xml_characters(path_.parent.name if path_.is_file() else path_.name) or "suite"

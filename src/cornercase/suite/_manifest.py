@@ -152,8 +152,8 @@ def _require_unchanged_file(path: Path, relative_path: str, digest: str) -> None
         raise InputError(f"{file}: is named in {path.name}, but is not there; restore it, or run `reduce` again.")
     if hashlib.sha256(read_file(file)).hexdigest() != digest:
         raise InputError(
-            f"{file}: has changed since {path.name} was written; restore it, run `reduce` again, or take {path.name}"
-            " away to run the files as they are."
+            f"{file}: has changed since {path.name} was written; restore it, run `reduce` again, or remove"
+            f" {path.name} to run the files as they are."
         )
 
 

@@ -20,8 +20,8 @@ HEADING_START: Final = b"### "
 
 
 def write_markdown_summary(result: SuiteResult, path: Path) -> None:
-    """Write a table with one row per scenario."""
-    # With another driver all recordings are others.
+    """Write the verdicts on a suite as a Markdown table with one row per scenario, below a summary as heading."""
+    # With another driver, all recordings differ.
     compared = result.against if result.has_comparable_recordings else None
     head = ["scenario", "kind", "verdict", "why", "" if compared is None else f"against {compared.name}"]
     rows = [

@@ -1,4 +1,4 @@
-"""Mutation testing: run scenarios of a study or suite with mutants of the ego's driver."""
+"""Mutation testing: run scenarios of a study or suite with mutants (faulty variants) of the ego's driver."""
 
 from __future__ import annotations
 
@@ -58,26 +58,27 @@ def analyze_mutants(
 ) -> KillMatrix:
     """Find which scenarios of a study kill which mutants of the ego's driver.
 
-    A mutant is a driver with small faults; a scenario kills it if the mutant violates a requirement that the original
-    driver fulfills. Of more than 2,000 scenarios, only 2,000 at equal intervals are run.
+    A mutant is a variant of the driver with a fault. A scenario kills a mutant if the mutant violates a requirement
+    that the original driver fulfills. If the study has more than 2,000 scenarios, 2,000 at equal intervals are run.
 
     Parameters
     ----------
     study : Study, StudyFile or path
-        Study that was explored with the builtin simulator; the ego is driven by one of cornercase's drivers, or by a
+        Study that was explored with the builtin simulator. The ego's driver has to be one of cornercase's drivers, or a
         class, FMU or program of yours that has `mutations`.
     mutants : int
-        Number of mutants that scenarios are selected by. The same number of other mutants evaluates the selection.
+        Number of mutants by which scenarios are selected. The selection is evaluated with as many further mutants.
     require : sequence of str
         Requirements, as texts for `cornercase.suite.Requirement.parse`; by default ``"no collision"``. A mutant is
-        killed if it violates at least one.
+        killed if it violates at least one requirement.
     seed : int, default 0
         The same seed gives the same mutants; see `cornercase.drivers.generate_mutants`.
     scenario : path or ScenarioFile, optional
         Scenario file that was explored; by default it is searched at the path stored in the study, beside the study and
         in the current folder.
     drivers : mapping of str to str or Driver, optional
-        The drivers that the study was explored with, if their code is yours: code that a study names is not run.
+        The drivers that the study was explored with. They are needed only if they are your own code, since code that a
+        study names is not run.
     workers : int, default 1
         Number of processes of a local cluster.
     cluster : str or distributed.Client, optional
@@ -89,7 +90,7 @@ def analyze_mutants(
     Returns
     -------
     KillMatrix
-        Argument `kill_matrix` of `cornercase.reduce`.
+        The kills by scenario and mutant, for the argument `kill_matrix` of `cornercase.reduce`.
 
     Raises
     ------
@@ -154,7 +155,7 @@ def analyze_mutants(
 def _check_own_drivers(
     drivers: Mapping[str, str | Driver] | None, settings: Mapping[str, Any]
 ) -> dict[str, str | Driver]:
-    """Create the drivers that the user names; `InputError` if the study was explored with others."""
+    """Create the drivers that the user names; raise `InputError` if the study was explored with other drivers."""
     created = {entity: resolve_driver(driver) for entity, driver in check_drivers(drivers).items()}
     stored = settings.get("drivers", {})
     for entity, driver in created.items():
@@ -194,7 +195,10 @@ def analyze_suite_mutants(
     client: Client | None = None,
     progress: bool = False,
 ) -> KillMatrix:
-    """Find which scenarios of a suite, by position from 1 on, kill which mutants; by default with a collision."""
+    """Find which scenarios of a suite kill which mutants of the ego's driver.
+
+    Scenario ids are positions in the suite, from 1 on. Without requirements, a collision kills a mutant.
+    """
     parsed = list(requirements) or _parse_requirements(())
     failed, killed = run_mutants(
         [scenario.concrete_scenario for scenario in suite.runnable_scenarios],
@@ -210,7 +214,12 @@ def analyze_suite_mutants(
     )
     ids = tuple(k for k, scenario in enumerate(suite.scenarios, start=1) if not scenario.error)
     return KillMatrix(
-        driver_and_mutants[0], tuple(scenario.text for scenario in parsed), ids, failed, driver_and_mutants[1], killed
+        driver_and_mutants[0],
+        tuple(requirement.text for requirement in parsed),
+        ids,
+        failed,
+        driver_and_mutants[1],
+        killed,
     )
 
 
@@ -221,14 +230,14 @@ def require_builtin_simulator(simulator: str) -> None:
 
 
 def find_ego_driver(ego: str, drivers: Mapping[str, Any], scenarios: Sequence[ScenarioFile]) -> str:
-    """Return the name of the ego's driver; `drivers` override the drivers in the files, by entity."""
+    """Return the name of the ego's driver; `drivers`, by entity, override the drivers in the scenario files."""
     if ego in drivers:
         return mutable_driver_name(drivers[ego])
     drivers_in_files = {scenario.drivers.get(ego) for scenario in scenarios}
     if drivers_in_files == {None}:
         raise InputError(f"Mutants need a driver of {ego}; name one with `drivers`.")
     if len(drivers_in_files) > 1:
-        text = ", ".join(sorted(scenario or "nobody" for scenario in drivers_in_files))
+        text = ", ".join(sorted(name or "nobody" for name in drivers_in_files))
         raise InputError(
             f"Mutants need one driver of {ego}, but the files name several ({text}); choose one with `drivers`."
         )
@@ -249,9 +258,9 @@ def run_mutants(
 ) -> tuple[BoolArray, BoolArray]:
     """Run n scenarios with the ego's driver and with its m mutants.
 
-    `requirements` has the requirements of each scenario. Return two masks. The first, shape (n,), marks scenarios that
-    the original driver fails (it violates a requirement, or the run failed). The second, shape (n, m), marks scenarios
-    that the original passes and the mutant fails by violating a requirement.
+    `requirements` has the requirements on each scenario. Two masks are returned. The first, shape (n,), marks scenarios
+    that are unusable: the original driver violates a requirement, or its run failed. The second, shape (n, m), marks
+    usable scenarios in which a mutant violates a requirement.
     """
     original, mutants = driver_and_mutants
     names = [original, *(mutant.driver for mutant in mutants)]
@@ -292,10 +301,12 @@ def _iter_violations(
 
 
 def _require_fixed_driver(ego: str, concretes: Sequence[ConcreteScenario]) -> None:
-    """Raise `InputError` if the scenarios differ in the ego's driver, since a mutant is one driver in all of them."""
+    """Raise `InputError` if parameters of the ego's driver vary, since a mutant is the same driver in all scenarios."""
     for concrete in concretes:
         if others := {*concrete.values} - {*concrete.without_driver_parameters(ego).values}:
-            raise InputError(f"Mutants need one driver of {ego}, but {min(others)} varies; leave them out.")
+            raise InputError(
+                f"Mutants need one driver of {ego}, but its parameter {min(others)} varies; leave out the mutants."
+            )
 
 
 def _require_no_reference(requirements: Sequence[Requirement]) -> None:

@@ -21,7 +21,10 @@ _FILE_PARAMETER: Final = "file"
 
 
 def read_suite(source: Path | str) -> SuiteContents:
-    """Read a suite from a manifest, its folder, any folder of scenarios, or one file; leave out what is no scenario."""
+    """Read a suite from a manifest, the folder of a manifest, a folder of scenario files, or one scenario file.
+
+    Files in a folder that are not scenarios are left out, and a notice names them.
+    """
     path = path_argument("suite", source)
     if path.is_dir():
         manifest = path / MANIFEST
@@ -77,18 +80,21 @@ def _is_not_scenario(scenario: ScenarioFile) -> bool:
 def _find_varied_parameters(
     scenarios: Sequence[ScenarioFile], unreadable: Container[Path]
 ) -> tuple[list[dict[str, Value]], ParameterSpace]:
-    """Return the parameter values that differ, by file, and a space of them; with file names if they do not suffice."""
+    """Return the values of the parameters that differ between the files, for each file, and the space of these values.
+
+    If these values do not distinguish all files, the file name is added as a parameter.
+    """
     declarations = [{} if scenario.path in unreadable else declarations_by_name(scenario) for scenario in scenarios]
     names = [
         name
         for name, declaration in declarations[0].items()
-        if all(name in scenario and scenario[name].type_name == declaration.type_name for scenario in declarations)
+        if all(name in declared and declared[name].type_name == declaration.type_name for declared in declarations)
     ]
-    columns = {name: [as_declared(scenario[name].value, scenario[name]) for scenario in declarations] for name in names}
+    columns = {name: [as_declared(declared[name].value, declared[name]) for declared in declarations] for name in names}
     columns = {name: values for name, values in columns.items() if len(set(values)) > 1}
     parameters = [_make_parameter(name, values) for name, values in columns.items()]
     if len(set(zip(*columns.values(), strict=True))) < len(scenarios):
-        files = [declaration.path.name for declaration in scenarios]
+        files = [scenario.path.name for scenario in scenarios]
         name = _FILE_PARAMETER if _FILE_PARAMETER not in columns else "scenario file"
         columns[name] = list(files)
         parameters.append(Parameter(name, 0.0, len(files) - 1.0, None, tuple(files)))

@@ -63,7 +63,7 @@ class RecordingDifference:
 def compare_recording_pair(
     earlier: Recording, later: Recording, ego: str, scores: Mapping[str, tuple[float, float]] | None = None
 ) -> RecordingDifference:
-    """Compare two recordings of a scenario, with the earlier path of the ego interpolated at the later times."""
+    """Compare two recordings of a scenario; the ego's earlier path is interpolated at the times of the later one."""
     distances = _ego_distances(earlier, later, ego)
     is_known = np.isfinite(distances)
     exceeding = np.flatnonzero(is_known & (distances > DISTANCE_TOLERANCE))
@@ -77,9 +77,12 @@ def compare_recording_pair(
 
 
 def _ego_distances(earlier: Recording, later: Recording, ego: str) -> FloatArray:
-    """Return the distances in m of the ego at the later times, shape (T,); NaN while it is absent in one of them."""
+    """Return the distances in m between the ego's positions in two recordings, at the T times of the later recording.
+
+    NaN while the ego is absent in one of the recordings.
+    """
     i, j = earlier.entity_index(ego), later.entity_index(ego)
-    # NaN beyond its ends, and between a time with the ego and one without.
+    # NaN outside of the earlier recording, and between a time with the ego and a time without.
     x, y = (
         np.interp(later.time, earlier.time, values, left=np.nan, right=np.nan)
         for values in (earlier.x[i], earlier.y[i])

@@ -25,9 +25,9 @@ class Requirement:
     Attributes
     ----------
     text : str
-        Its text in studies and messages.
+        Text of the requirement, as in studies and messages.
     expression : Expression
-        What has to hold.
+        Condition that has to hold.
     pattern : str
         Pattern of the file names that the requirement applies to, with ``*`` and ``?``; empty for all files.
     is_for_clusters : bool
@@ -115,7 +115,7 @@ class Requirement:
 
 
 def parse_requirement_from(source: str, text: str) -> Requirement:
-    """Parse a requirement that the user did not write as an argument; `source` begins the message of an error."""
+    """Parse a requirement that comes from a file; an error message begins with `source` instead of the argument."""
     try:
         return Requirement.parse(text)
     except InputError as error:
@@ -123,7 +123,7 @@ def parse_requirement_from(source: str, text: str) -> Requirement:
 
 
 def requirement_prefix(pattern: str, *, is_for_clusters: bool = False) -> str:
-    """Return the text before a requirement that limits it to files, or clusters, whose name matches a pattern."""
+    """Return the prefix that limits a requirement to files, or clusters, with matching names: ``"for PATTERN: "``."""
     if is_for_clusters or not _UNQUOTED_PATTERN.fullmatch(pattern):
         return f"for {'kind ' if is_for_clusters else ''}{json.dumps(pattern, ensure_ascii=False)}: "
     return f"for {pattern}: "
@@ -137,5 +137,5 @@ def _unquote_pattern(pattern: str, requirement: str) -> str:
     except ValueError:
         text_ = ""
     if not text_.strip():
-        raise InputError(f"`require` {requirement}: {pattern} is not a pattern of names; write it as in JSON.")
+        raise InputError(f"`require` {requirement}: {pattern} is not a pattern of names; quote it as in JSON.")
     return text_

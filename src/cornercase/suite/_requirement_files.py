@@ -29,7 +29,7 @@ def read_requirements(path: Path) -> list[Requirement]:
     """Read requirements from a TOML file, or from a YAML file if the name ends in ``.yaml`` or ``.yml``.
 
     The list ``require`` applies to all files. The tables ``for`` and ``kind`` hold further lists; their keys are
-    patterns of file names (``for``) or cluster names (``kind``). `InputError` if the file cannot be used.
+    patterns of file names (``for``) or cluster names (``kind``). Raises `InputError` if the file cannot be used.
     """
     content = _load_file(path)
     if not isinstance(content, dict):
@@ -42,7 +42,9 @@ def read_requirements(path: Path) -> list[Requirement]:
     for name, subject in _PATTERN_TABLES.items():
         patterns = content.get(name, {})
         if not isinstance(patterns, dict):
-            raise InputError(f"{path}: '{name}' is not a table of lists by patterns of {subject}.")
+            raise InputError(
+                f"{path}: '{name}' is not a table with a list of requirements for each pattern of {subject}."
+            )
         for pattern, requirements in patterns.items():
             if not isinstance(pattern, str) or not pattern.strip():
                 raise InputError(f"{path}: '{str(pattern)[:60]}' in '{name}' is not a pattern of {subject}.")
@@ -76,7 +78,7 @@ def _load_file(path: Path) -> Any:
 
 
 def requirements_from_files(suite: SuiteContents) -> list[Requirement]:
-    """Make requirements from the criteria in the files of a suite, and warn about those that no recording decides."""
+    """Make requirements from ScenarioRunner's criteria in the files of a suite; a notice names unusable criteria."""
     files_of: dict[str, list[str]] = {}
     ignored: dict[str, None] = {}
     for scenario in suite.runnable_scenarios:

@@ -35,7 +35,10 @@ _NONDETERMINISM_ADVICE: Final = (
 
 
 def mark_unsupported(suite: SuiteContents, simulator: Simulator) -> SuiteContents:
-    """Mark the scenarios of a suite that the simulator cannot run; `InputError` if it can run none."""
+    """Return the suite with an error on each scenario that the simulator cannot run.
+
+    Raises `InputError` if the simulator can run none of the scenarios.
+    """
     usable = suite.runnable_scenarios
     refused = find_refusals(simulator, [scenario.concrete_scenario for scenario in usable])
     reasons = {usable[k].file_name: reason for k, reason in refused.items()}
@@ -56,7 +59,7 @@ def run_pending_scenarios(
     workers: int | None,
     progress: bool,
 ) -> int:
-    """Run the scenarios that the study lacks, and store each result at once; return how many had ended before."""
+    """Run the scenarios that the study lacks, store each result at once, and return how many had ended before."""
     _warn_about_files(suite, simulator, meta.ego)
     with open_or_create_study(study_path, meta) as study:
         study.writer.resume(meta)
@@ -95,7 +98,7 @@ def _is_random(suite: SuiteContents, simulator: Simulator) -> bool:
 
 
 def _warn_about_files(suite: SuiteContents, simulator: Simulator, ego: str) -> None:
-    """Warn once about everything in the files that has no effect, and if no driver drives the ego."""
+    """Warn about content of the scenario files that has no effect in the simulator, and if no driver drives the ego."""
     warn_notices(
         deduplicate_notices(
             notice
@@ -115,7 +118,7 @@ def _run_pending(
     workers: int | None,
     notices: RunNotices,
 ) -> Iterator[int]:
-    """Run pending scenarios, and yield the number that have ended so far."""
+    """Run pending scenarios, and yield the number of scenarios that have ended so far."""
     pending = [row for row in rows if row.state == "pending"]
     done = len(rows) - len(pending)
     yield done
@@ -158,7 +161,7 @@ def run_reference_drivers(
     requirements: Sequence[Requirement],
     simulators_by_driver: Mapping[str, Simulator],
 ) -> None:
-    """Run scenarios again whose verdict depends on reference drivers, and store the outcomes that the study lacks."""
+    """Run scenarios with the reference drivers that their verdicts depend on; store outcomes that the study lacks."""
     ego, others = study.meta.ego, study.meta.others
     for name, simulator in simulators_by_driver.items():
         applicable = [item for item in requirements if name in item.expression.reference_drivers]

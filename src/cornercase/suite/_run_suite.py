@@ -51,7 +51,7 @@ _RAN_REQUIREMENT: Final = "runs"
 
 
 class SuiteKeywords(RunKeywords, total=False):
-    """Optional settings of a run that override those of the suite, and options of how to run."""
+    """Keyword arguments of `run_suite`: settings that replace those of the suite, and options such as `workers`."""
 
     ego: str | None
     other: str | Sequence[str] | None
@@ -86,8 +86,8 @@ def run_suite(
 ) -> SuiteResult:
     """Run the scenarios of a suite again, judge them, and compare them with the earlier recordings.
 
-    Each scenario is stored as soon as it has ended. The same call again resumes an interrupted run. With other
-    requirements, it judges the stored runs.
+    Each scenario is stored as soon as it has ended. The same call again resumes an interrupted run. The same call with
+    other requirements judges the stored recordings.
 
     Parameters
     ----------
@@ -134,8 +134,8 @@ def run_suite(
     Raises
     ------
     InputError
-        An argument or file cannot be used, a file of the manifest is missing or has changed, no scenario can be run, or
-        the study is of something else.
+        An argument or file cannot be used, a file that the manifest lists is missing or has changed, no scenario can be
+        run, or the study belongs to another suite or other settings.
 
     Warns
     -----
@@ -220,7 +220,7 @@ def _start_with_reference(
 def _prepare_outputs(
     junit: Path | str | None, summary: Path | str | None, study: Path, inputs: Sequence[Path]
 ) -> list[tuple[Callable[[SuiteResult, Path], None], Path]]:
-    """Return writer and path of each output besides the study; outputs of an earlier run are removed."""
+    """Return writer and path of the JUnit and Markdown files, if requested; files of an earlier run are removed."""
     targets: list[tuple[Callable[[SuiteResult, Path], None], Path]] = []
     outputs = (("junit", junit, write_junit, JUNIT_START), ("summary", summary, write_markdown_summary, HEADING_START))
     for name, target, write, first_bytes in outputs:
@@ -243,7 +243,7 @@ def _prepare_outputs(
 
 
 def _require_own_output(name: str, path: Path, first_bytes: bytes) -> None:
-    """Raise `InputError` if a file exists that no earlier run wrote: it could be the only copy of something."""
+    """Raise `InputError` if a file exists that no earlier run wrote, so that no other content is overwritten."""
     if path.exists():
         with path.open("rb") as file:
             content = file.read(len(first_bytes))
@@ -274,7 +274,7 @@ def _resolve_entities(
     requirements: Sequence[Requirement],
     drivers: Mapping[str, object],
 ) -> tuple[SuiteContents, tuple[str, tuple[str, ...]]]:
-    """Return the suite, with a mark where an entity is lacking, and the names of the ego and the others."""
+    """Return the suite with an error on each scenario that lacks an entity, and the names of the ego and the others."""
     for role, given, own in (("ego", ego, suite.ego), ("other", other, suite.other)):
         if given is None and not own:
             raise InputError(f"`{role}`: {suite.path} does not define it; name an entity.")
@@ -298,7 +298,10 @@ def _resolve_entities(
 
 
 def _mark_lacking_entity(suite: SuiteContents, role_by_entity: Mapping[str, str]) -> SuiteContents:
-    """Mark scenarios that lack an entity; `InputError` if all do. `role_by_entity` maps each name to its role."""
+    """Return the suite with an error on each scenario that lacks an entity; raise `InputError` if all scenarios do.
+
+    `role_by_entity` maps the name of each required entity to its role, for messages.
+    """
     lacking: dict[str, InputError] = {}
     for scenario in suite.runnable_scenarios:
         try:
@@ -324,7 +327,7 @@ def _describe_no_match(suite: SuiteContents, requirement: Requirement) -> str:
     kinds = dict.fromkeys(scenario.cluster_name for scenario in suite.scenarios if scenario.cluster_name)
     if not kinds:
         return f"{suite.path} does not name the clusters of its scenarios"
-    return f"no scenario of {suite.path} belongs to such a cluster; there are {'; '.join(kinds)}"
+    return f"no scenario of {suite.path} belongs to such a cluster; the clusters are {'; '.join(kinds)}"
 
 
 def _choose_metrics(
@@ -344,7 +347,7 @@ def _choose_metrics(
     # Check before the study is created.
     for metric in [*instances, *needed]:
         metric.check_installed()
-    # A stored recording does not know its roads, so these are measured when it runs.
+    # Stored recordings have no roads, so metrics of the ego alone are measured during the run.
     names = [metric.name for metric in instances]
     return [*instances, *(metric for metric in needed if metric.ego_only and metric.name not in names)]
 

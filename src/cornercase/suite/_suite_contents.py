@@ -17,7 +17,7 @@ from cornercase.simulators._run_options import SIMULATION_OPTIONS
 DEFAULT_SETTINGS: Final[dict[str, Any]] = {
     name: SIMULATION_OPTIONS[name].default for name in ("time_step", "duration", "on_collision")
 }
-"""Settings of a suite that does not define them."""
+"""Default value of each setting, for a suite that does not define the setting."""
 
 
 @dataclass(frozen=True)
@@ -25,9 +25,9 @@ class SuiteScenario:
     """A scenario of a suite; `values` distinguish it from the other scenarios.
 
     `cluster_name`, `role` and `selection_reason` come from the manifest; they are empty if unknown. `source_id` is the
-    id in the study that the scenario was selected from, and `seed` that study's seed. `error` says why the file cannot
-    be run; it is empty if the file can be run. `driver_values` are those of `values` that the drivers of a run take,
-    and no file can hold.
+    id in the study that the scenario was selected from, and `seed` is the seed of that study. `error` says why the file
+    cannot be run; it is empty if the file can be run. `driver_values` are the entries of `values` that are passed to
+    the drivers of a run, since the file does not contain them.
     """
 
     file_name: str
@@ -43,7 +43,7 @@ class SuiteScenario:
 
     @property
     def concrete_scenario(self) -> ConcreteScenario:
-        """The scenario as a simulator takes it: the file without changes."""
+        """The scenario for a simulator: the unchanged file, with `driver_values`."""
         return ConcreteScenario(self.scenario.path, self.driver_values, self.scenario, self.seed)
 
     @property
@@ -56,7 +56,7 @@ class SuiteScenario:
 
     @property
     def fingerprint(self) -> str:
-        """SHA-256 of the scenario file and all files that it uses."""
+        """SHA-256 of the scenario file and all files that it uses; of the scenario file alone if it is invalid."""
         try:
             return self.scenario.fingerprint()
         except InputError:
@@ -71,7 +71,7 @@ class SuiteContents:
 
     `path` is the manifest or the folder. `study` and `fingerprint` identify the study that the scenarios were selected
     from. `custom_drivers` maps an entity to the name that its driver had in the command, if the driver was the user's
-    own code. A file cannot make such a driver drive.
+    own code. The manifest does not load such a driver, so the user has to give the driver again.
     """
 
     path: Path
@@ -99,13 +99,13 @@ class SuiteContents:
 
     @property
     def files(self) -> list[Path]:
-        """The manifest, if there is one, the scenario files, and all files that they use."""
+        """The manifest, if there is one, the scenario files, and all files that the scenario files use."""
         scenario_files = [file for scenario in self.scenarios for file in scenario.files]
         return scenario_files if self.path.is_dir() else [self.path, *scenario_files]
 
     @property
     def content_hash(self) -> str:
-        """SHA-256 of the names and contents of the scenario files and all that they use, and of drivers' values."""
+        """SHA-256 of the scenario files (names, contents, and files that they use) and of the values for drivers."""
         digest = hashlib.sha256()
         for scenario in self.scenarios:
             digest.update(f"{scenario.file_name}\0{scenario.fingerprint}\0".encode())

@@ -1,4 +1,4 @@
-"""Results of a suite."""
+"""Results of a suite that was run."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class ScenarioResult:
         Id in the study of the suite.
     file : str
     state : {"passed", "failed", "inconclusive", "error"}
-        The worst of all verdicts; an error if the simulator failed.
+        State of the worst verdict; ``"error"`` if the simulator failed.
     values : mapping of str to float or str
         Parameter values.
     scores : mapping of str to float
@@ -39,14 +39,14 @@ class ScenarioResult:
     duration : float or None
         Duration of the recording in s; None if the simulator failed.
     verdicts : tuple of Verdict
-        One for each requirement. Without requirements, a single verdict says whether the scenario ran.
+        One for each requirement that applies. Without requirements, a single verdict says whether the scenario ran.
     kind, role, why : str
         Name of the cluster that the scenario represents, its role in the suite, and why it was selected; empty if
         unknown.
     origin : int or None
         Id in the study that the scenario was selected from.
     difference : RecordingDifference or None
-        Difference from the earlier recording; None if there is none.
+        Difference from the earlier recording; None if there is no earlier recording.
     others : mapping of str to str
         If there are several other entities: the entity that the score of each metric is measured against. Metrics that
         are not measured against a single entity are left out.
@@ -83,14 +83,14 @@ class ScenarioResult:
 
 @dataclass(frozen=True, repr=False)
 class SuiteResult:
-    """Result of a suite; as a bool it says whether the suite passed, as `has_passed` does.
+    """Result of a suite that was run; as a bool, the result is True if the suite passed (see `has_passed`).
 
     Attributes
     ----------
     study : Path
         Study of the suite.
     suite : Path
-        The manifest, or the folder.
+        Manifest or folder of the suite.
     simulator : str
     requirements : tuple of str
     scenarios : tuple of ScenarioResult
@@ -98,17 +98,18 @@ class SuiteResult:
     against : Path or None
         Study that the recordings were compared with.
     changed_driver : tuple of str or None
-        Drivers of the ego in that study and in this run; None if they are the same, or nothing was compared.
+        Drivers of the ego in the study `against` and in this run; None if their names are the same or unknown, or if
+        nothing was compared.
     no_comparison_reason : str
-        Why the recordings were not compared, as a sentence without a period; empty if they were.
+        Why the recordings were not compared, as a sentence without a period; empty if they were compared.
     n_ran_before : int
         Number of scenarios whose stored results were judged without running them again.
     kill_matrix : KillMatrix or None
-        Which scenarios, by id, kill which mutants of the ego's driver; None if no mutants were run.
+        Which scenarios, by id, kill which mutants (faulty variants) of the ego's driver; None if no mutants were run.
 
     Examples
     --------
-    A folder of concrete scenarios is a suite; here it has one.
+    A folder of concrete scenarios is a suite; this folder has one scenario.
 
     >>> import shutil
     >>> import cornercase as cc
@@ -165,7 +166,7 @@ class SuiteResult:
 
     @property
     def summary(self) -> str:
-        """Summarize the result in a sentence without a period."""
+        """Number of scenarios that passed, failed, were inconclusive or not run, in a sentence without a period."""
         names = {"error": "not run"}
         counts = Counter(scenario.state for scenario in self.scenarios)
         parts = [
@@ -177,7 +178,7 @@ class SuiteResult:
 
     @property
     def comparison_summary(self) -> str:
-        """Say in a sentence without a period how the recordings differ from the earlier ones."""
+        """Sentence without a period that says how the recordings differ from the earlier recordings."""
         if self.against is None:
             return f"Not compared: {self.no_comparison_reason}"
         compared = [item.difference for item in self.scenarios if item.difference is not None]
@@ -191,7 +192,7 @@ class SuiteResult:
 
     @property
     def has_comparable_recordings(self) -> bool:
-        """Whether recordings were compared with earlier ones of the same driver, which should be the same."""
+        """True if recordings were compared with earlier recordings of the same driver, which should be equal."""
         return self.against is not None and self.changed_driver is None
 
     def table(self) -> pd.DataFrame:

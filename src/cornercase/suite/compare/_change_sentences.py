@@ -1,4 +1,4 @@
-"""Say what changed between two versions in sentences, in the order in which an engineer asks."""
+"""Describe in sentences what changed between two versions: verdict, collisions, critical share, tests, clusters."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from cornercase.suite.compare._comparison import (
     format_pair_ids,
 )
 
-# Scenarios and kinds that a sentence names.
+# Largest number of scenarios, and of kinds, that a sentence names.
 _MAX_SCENARIOS: Final = 5
 _MAX_KINDS: Final = 4
 _HEADLINES: Final[Mapping[str, str]] = {
@@ -30,12 +30,12 @@ _HEADLINES: Final[Mapping[str, str]] = {
 
 
 def describe_verdict(comparison: Comparison) -> str:
-    """Say the verdict in a sentence without a period."""
+    """Return the verdict of a comparison as a sentence without a period."""
     return _HEADLINES[comparison.verdict]
 
 
 def describe_changes(comparison: Comparison) -> tuple[str, ...]:
-    """Say what changed: collisions, the critical share, what the tests of pairs say, and the kinds of scenarios."""
+    """Return sentences on what changed: collisions, critical share, significance tests, and clusters of scenarios."""
     return tuple(_iter_changes(comparison))
 
 
@@ -76,7 +76,7 @@ def _name(pairs: Sequence[ScenarioPair]) -> str:
 
 
 def _describe_faults(pairs: Sequence[ScenarioPair], side: int) -> str:
-    """Say whose fault the collisions with one version are; empty if that is unknown of all."""
+    """Return as text who is at fault in collisions with the old (`side` 0) or new (1) version; empty if unknown."""
     counts = Counter(pair.faults[side] for pair in pairs)
     unknown = counts.pop("", 0)
     if not counts:
@@ -129,7 +129,7 @@ def _describe_direction(low: float, high: float) -> str:
 
 
 def _describe_tests(comparison: Comparison) -> Iterator[str]:
-    """Say what the tests of facts looked at, and what they found; those of pairs are McNemar's."""
+    """Yield sentences on the tests of collisions and criticality, on other significant tests, and on determinism."""
     facts = [test for test in comparison.tests if test.about in ("collision", "critical") and test.differ != 0]
     for test in facts:
         claim = "more than chance" if test.corrected <= ALPHA else "that may be chance"
@@ -199,19 +199,19 @@ def _list_kinds(kinds: Sequence[ClusterChange], old: str) -> str:
 
 
 def _describe_present(kind: ClusterChange) -> str:
-    """Say how the scenarios of a kind end now, if they ended otherwise: then its name may be false of them."""
+    """Return as text how the scenarios of a cluster end now, if some end in a new way and its name may be outdated."""
     if not kind.new or set(kind.new_outcomes) <= set(kind.old_outcomes):
         return ""
     return f" (now: {format_outcomes(kind.new_outcomes)})"
 
 
 def format_outcomes(outcomes: Mapping[str, int]) -> str:
-    """Return how many scenarios end how as text, the most frequent ending first."""
+    """Return endings with the number of scenarios for each as text, such as ``"no collision 12, collision 3"``."""
     return ", ".join(f"{outcome} {count}" for outcome, count in outcomes.items())
 
 
 def describe_unpaired_scenarios(comparison: Comparison) -> Iterator[str]:
-    """Yield how many scenarios have no partner, why, and what follows from it."""
+    """Yield sentences on the scenarios that ran in one study only: how many, why, and what follows for the verdict."""
     if comparison.unpaired is None or not any(comparison.n_unmatched):
         return
     for name, side in zip(comparison.names, comparison.unpaired, strict=True):

@@ -1,4 +1,4 @@
-"""Decide whether the new version is better or worse than the old one, if changes within tolerances do not count."""
+"""Decide whether the new version is better or worse than the old version; changes within tolerances do not count."""
 
 from __future__ import annotations
 
@@ -40,7 +40,11 @@ _KIND_OF_TEST: Final[Mapping[str, FindingKind]] = MappingProxyType(
 
 @dataclass(frozen=True)
 class PairChange:
-    """One change of a pair of scenarios, better or worse; `size` is the change of a score, in its unit."""
+    """A change for the better or worse between the old and the new run of a scenario.
+
+    `about` is the requirement or metric, `ids` has the ids of the scenario in both studies, and `size` is the change of
+    a score, in the unit of the score.
+    """
 
     kind: FindingKind
     about: str
@@ -51,7 +55,7 @@ class PairChange:
 
 
 def resolve_tolerances(metrics: Mapping[str, Metric], overrides: Mapping[str, float] | None) -> dict[str, float]:
-    """Return the tolerance of each metric that is compared or in a requirement; `overrides` replace the defaults."""
+    """Return the tolerance (largest change that does not count) of each metric; `overrides` replace the defaults."""
     limits = {name: DEFAULT_TOLERANCES.get(metric.unit, 0.0) for name, metric in metrics.items()}
     for name, value in validation.check_mapping("tolerances", overrides or {}).items():
         if name not in limits:
@@ -72,11 +76,11 @@ def find_findings(
     tolerances: Mapping[str, float],
     deterministic: bool,
 ) -> tuple[tuple[Finding, ...], tuple[Finding, ...], tuple[Finding, ...]]:
-    """Return what is worse with the new version, what is better, and what changed within the tolerances only.
+    """Return three groups of findings: worse with the new version, better, and changed within the tolerances only.
 
     If both simulators are deterministic, each pair of runs that differs shows a change. Otherwise only significant
-    tests count. A test counts if more scenarios changed in its direction than in the other, by more than the tolerance.
-    Tests of unpaired scenarios always count. The most important findings come first.
+    tests count, if more scenarios changed in the direction of the test than in the other direction, by more than the
+    tolerance. Significant tests of unpaired scenarios count in both cases. The most important findings come first.
     """
     steps = [
         step
@@ -134,7 +138,7 @@ def _exceeds_tolerance(before: float, after: float, tolerance: float) -> bool:
 
 
 def _margin_tolerance(requirement: str, tolerances: Mapping[str, float]) -> float:
-    """Return the tolerance for the margin of a requirement: the smallest tolerance of the metrics in it."""
+    """Return the tolerance for the margin (robustness) of a requirement: the smallest tolerance of its metrics."""
     units = Requirement.parse(requirement).expression.compared_units
     return min(tolerances[name] if name in tolerances else DEFAULT_TOLERANCES.get(unit, 0.0) for name, unit in units)
 
@@ -199,7 +203,10 @@ def decide_verdict(
     changed: tuple[bool, str],
     deterministic: bool,
 ) -> tuple[ComparisonVerdict, str]:
-    """Return the verdict on the new version, and the reason; `findings` are what is worse, and what is better."""
+    """Return the verdict on the new version, and the reason for the verdict.
+
+    `findings` are the worse and the better findings. `changed` says whether the versions differ, and why.
+    """
     worse, better = (describe_findings(item) for item in findings)
     if worse and better:
         return "mixed", f"Worse: {worse}; better: {better}"

@@ -60,7 +60,7 @@ def choose_examples(
 
 
 def _distance_to_chosen(pair: ScenarioPair, chosen: Sequence[Example]) -> float:
-    """Return the RMS difference of parameters, in the unit cube, to the nearest chosen example; inf without one."""
+    """Return the RMS difference of parameters, in the unit cube, to the nearest of the chosen examples, else inf."""
     point = np.array(pair.point)
     return min(
         (float(np.sqrt(np.mean((point - np.array(example.pair.point)) ** 2))) for example in chosen), default=np.inf
@@ -68,7 +68,7 @@ def _distance_to_chosen(pair: ScenarioPair, chosen: Sequence[Example]) -> float:
 
 
 def _old_score_spreads(pairs: Sequence[ScenarioPair], metrics: Iterable[str]) -> dict[str, float]:
-    """Return half the range of the middle 90 % of the old scores, by metric; if that is 0, the full range."""
+    """Return the spread of the old scores by metric: half the range of the middle 90 %; if 0, the full range."""
     both_ran = [pair for pair in pairs if pair.both_ran]
     spreads = {}
     for name in metrics if both_ran else ():
@@ -82,7 +82,7 @@ def _old_score_spreads(pairs: Sequence[ScenarioPair], metrics: Iterable[str]) ->
 def _classify_change(
     pair: ScenarioPair, spreads: Mapping[str, float], metrics: Mapping[str, Metric], objective_metric: str
 ) -> tuple[_ChangeTier, float, str]:
-    """Return the tier, the size and a description of a pair's change; the description is empty if nothing changed."""
+    """Return the rank (tier), size and description of a pair's change; the description is empty if nothing changed."""
     if pair.run == "not in one":
         failing = "old" if pair.errors[0] is not None else "new"
         return (0, failing == "old"), 0.0, f"failed with the {failing} version"
@@ -115,7 +115,7 @@ def _classify_change(
 def _largest_score_change(
     pair: ScenarioPair, spreads: Mapping[str, float], metrics: Mapping[str, Metric]
 ) -> tuple[float, str, bool]:
-    """Return a pair's largest score change: size in units of its spread, description, and whether it is worse."""
+    """Return a pair's largest score change: size relative to the spread, description, and whether it is worse."""
     largest, description, worse = 0.0, "", False
     for name, spread in spreads.items():
         old, new = pair.scores[name]

@@ -81,9 +81,9 @@ def compare(
         Studies of the same scenario, parameter space and entities. Drivers, simulators, versions and time steps may
         differ.
     metrics : str or sequence of str, optional
-        Metrics to compare by. By default all; both studies must then have the same metrics.
+        Metrics to compare by. By default all metrics; both studies must then have the same metrics.
     critical : float, optional
-        Threshold for this comparison only. By default each study's own; both must then be equal.
+        Threshold for this comparison only. By default the threshold of each study; both must then be equal.
     tolerances : mapping of str to float, optional
         Largest change of a score that does not count, by metric, in its unit. By default 0.1 for s, m, m/s, m/s² and
         s², 0.01 for rad and for metrics without unit, and 0 for other units.
@@ -182,7 +182,7 @@ def compare(
 
 
 def _require_complete_suite(study: StudyFile) -> None:
-    """Raise `InputError` if the run of a suite is incomplete: the few scenarios it holds could look like no change."""
+    """Raise `InputError` if the run of a suite is incomplete, since the scenarios so far could look like no change."""
     n_pending = sum(row.state == "pending" for row in study.rows())
     if study.meta.suite and n_pending:
         raise InputError(
@@ -192,14 +192,16 @@ def _require_complete_suite(study: StudyFile) -> None:
 
 
 def _objective_metric(meta: StudyMeta, metrics: Sequence[str]) -> str:
-    """Return the metric that alone defines criticality, if it is compared; else an empty text."""
+    """Return the metric that alone defines criticality; empty if several metrics do, or if it is not compared."""
     return "" if meta.weights or meta.pareto or meta.metrics[0] not in metrics else meta.metrics[0]
 
 
 def _is_deterministic(meta: StudyMeta) -> bool:
-    """Tell whether runs are deterministic: one was repeated, or all parts are cornercase's own and declare it.
+    """Return whether the runs of a study are deterministic.
 
-    Runs with random sensors are not, although those with the same seed are equal.
+    Runs are deterministic if a repeated run gave the same recording. If none was repeated, the simulator and all
+    drivers must be cornercase's own, and the simulator must be declared deterministic. Runs with random sensors do not
+    count as deterministic, although runs with the same seed are equal.
     """
     if meta.repeatability.get("random", False):
         return False
@@ -223,7 +225,11 @@ def _run_tests(
     deterministic: bool,
     sets: SetDifference | None,
 ) -> tuple[ChangeTest, ...]:
-    """Test pairs chosen independently of scores; with too few of them, the initial designs as unpaired samples."""
+    """Run all significance tests, and correct the p-values for the number of tests.
+
+    If runs are deterministic, all pairs are tested, otherwise only pairs that were chosen independently of scores. If
+    there are too few of the latter, the space-filling scenarios of both studies are tested as unpaired samples, too.
+    """
     tested = [pair for pair in pairs if deterministic or pair.is_score_independent]
     tests_ = test_pairs(tested, metrics) if any(pair.run != "in neither" for pair in tested) else []
     n_filling = len(old.space_filling_ids()), len(new.space_filling_ids())
@@ -236,8 +242,8 @@ def _run_tests(
     if not tests_ and all(pair.run == "in neither" for pair in pairs):
         raise InputError(
             f"{old.study.path} and {new.study.path}: no scenario was run in both, and only {n_filling[0]} and"
-            f" {n_filling[1]} scenarios were chosen independently of scores, of at least {MIN_SAMPLE_SIZE} that are"
-            " needed in each; explore both with the same `seed`, or with `audit`."
+            f" {n_filling[1]} scenarios were chosen independently of scores (each study needs {MIN_SAMPLE_SIZE});"
+            " explore both with the same `seed`, or with `audit`."
         )
     return holm_correct(tests_)
 
@@ -245,8 +251,8 @@ def _run_tests(
 def _decide_whether_changed(
     pairs: Sequence[ScenarioPair], tests: Sequence[ChangeTest], deterministic: bool
 ) -> tuple[bool, str]:
-    runs = Counter(test.run for test in pairs)
-    n_ran = sum(test.both_ran for test in pairs)
+    runs = Counter(pair.run for pair in pairs)
+    n_ran = sum(pair.both_ran for pair in pairs)
     significant = [test for test in tests if test.corrected <= ALPHA]
     if n_different := deterministic and runs["otherwise"]:
         return (
@@ -300,7 +306,7 @@ def _describe_setting_differences(old: StudyMeta, new: StudyMeta) -> Iterator[st
 
 
 def _settings_with_ego_drivers(old: StudyMeta, new: StudyMeta) -> Iterator[dict[str, Any]]:
-    """Yield the settings of both studies, with the ego's driver also where the scenario file names it."""
+    """Yield the settings of each study, including the ego's driver if only the scenario file names it."""
     ego_drivers = [meta.ego_driver for meta in (old, new)]
     for meta, driver in zip((old, new), ego_drivers, strict=True):
         ego_entry = {} if None in ego_drivers else {meta.ego: driver or "its storyboard"}
@@ -332,14 +338,14 @@ def _describe_value_difference(name: str, old: Any, new: Any) -> Iterator[str]:
 
 
 def _is_custom_driver(driver: Any) -> bool:
-    """Tell whether a driver is the user's code: neither registered nor described by parameters alone."""
+    """Return whether a driver is the user's own code, neither registered nor described by parameters alone."""
     if not isinstance(driver, Mapping):
         return False
     return driver_command_option(driver) is None or not {"options", "sha256", "settings"}.isdisjoint(driver)
 
 
 def _expand_driver_name(driver: Any) -> Any:
-    """Return the settings of a driver; a registered name is replaced by what it stands for."""
+    """Return the settings of a registered driver if its name is given; return anything else unchanged."""
     return DRIVERS.create(driver).settings if isinstance(driver, str) and driver in DRIVERS else driver
 
 
@@ -352,9 +358,10 @@ def _format_setting(value: Any) -> str:
 def _count_cluster_changes(
     old: StudyFile, new: StudyFile, pairs: Sequence[ScenarioPair]
 ) -> tuple[dict[str, tuple[ClusterChange, ...]], str]:
-    """Count the pairs in each cluster of the old study; recordings of the new version are assigned to these.
+    """Count the pairs in each cluster of the old study; recordings of the new version are assigned to these clusters.
 
-    Returns the changes by aspect, and the aspect that says most about how scenarios end.
+    Returns the changes by aspect (what scenarios are clustered by), and the aspect that says most about how scenarios
+    end.
     """
     clusters = {}
     analyses = {
@@ -387,7 +394,7 @@ def _count_cluster_changes(
 def _build_cluster_change(
     cluster: int, label: str, before: Sequence[ScenarioPair], after: Sequence[ScenarioPair]
 ) -> ClusterChange:
-    """Count what the scenarios of a cluster do with each version: `before` are its members then, `after` now."""
+    """Count the outcomes of a cluster's scenarios; `before` are the members with the old version, `after` now."""
     outcomes = [
         dict(sorted(Counter(pair.outcomes[side] for pair in members).items(), key=lambda item: (-item[1], item[0])))
         for side, members in enumerate((before, after))

@@ -30,7 +30,7 @@ ChangeDirection = Literal["worse", "better"]
 """Direction of a change."""
 
 FindingKind = Literal["collision", "requirement", "run", "critical", "score"]
-"""What a finding is about."""
+"""Subject of a finding."""
 
 # Limits of scenarios named in a finding, and of findings in a sentence.
 _MAX_NAMED_SCENARIOS: Final = 5
@@ -100,7 +100,7 @@ class ScenarioPair:
 
     @property
     def both_ran(self) -> bool:
-        """Whether the scenario ran without failing in both studies."""
+        """True if the scenario ran without failing in both studies."""
         return bool(self.scores)
 
     @property
@@ -194,7 +194,7 @@ class ChangeTest:
 
 @dataclass(frozen=True, repr=False)
 class Finding:
-    """One aspect in which the new version is worse or better, or changed within the tolerances; `str` is its text.
+    """A change with the new version: worse, better, or within the tolerances; `str` returns a description.
 
     Attributes
     ----------
@@ -204,7 +204,7 @@ class Finding:
     direction : {"worse", "better"}
     ids : tuple of (int, int)
         Ids of the scenarios with this change, in the old and in the new study. Empty if a test of unpaired scenarios
-        found it.
+        found the change.
     n_opposite : int, default 0
         Number of scenarios with the opposite change; only counted for tests.
     largest_change : float or None, default None
@@ -274,7 +274,7 @@ class Finding:
         Parameters
         ----------
         limit : int, default 5
-            How many scenarios are named; the others are counted.
+            Largest number of scenarios that are named; the others are only counted.
 
         Returns
         -------
@@ -290,7 +290,7 @@ class Finding:
         Returns
         -------
         str
-            Empty if the scenarios themselves show it.
+            Empty if single scenarios show the change.
         """
         if self.test is None:
             return ""
@@ -306,7 +306,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class ClusterChange:
-    """How many pairs belong to one cluster with each version.
+    """Numbers of pairs that belong to one cluster with the old and with the new version.
 
     Attributes
     ----------
@@ -317,7 +317,7 @@ class ClusterChange:
     old, new : int
         Number of pairs with each version.
     old_outcomes, new_outcomes : mapping of str to int
-        How the scenarios of the cluster end with each version, and how many do; the most frequent ending comes first.
+        Number of the cluster's scenarios by how they end, with each version; the most frequent ending comes first.
     ids : tuple of (int, int)
         Pairs that are in the cluster with one version only.
 
@@ -346,13 +346,13 @@ class UnpairedScenarios:
     Attributes
     ----------
     count : int
-        How many there are.
+        Number of these scenarios.
     chosen_by_scores : int
-        How many of them the search chose by the scores of their own version.
+        Number of scenarios that the search chose by the scores of this version.
     critical : int or None
-        How many of them are critical; None without a threshold.
+        Number of critical scenarios; None without a threshold.
     collisions : int
-        In how many of them the ego collides.
+        Number of scenarios in which the ego collides.
 
     Examples
     --------
@@ -370,7 +370,7 @@ class UnpairedScenarios:
 
 @dataclass(frozen=True)
 class SpaceChange:
-    """How the critical part of the space changed.
+    """Change of the critical part of the parameter space.
 
     Attributes
     ----------
@@ -378,11 +378,11 @@ class SpaceChange:
         Number of pairs that sample the space independently of scores.
     gained, lost : Estimate or None
         Fraction of the space that is critical with the new version only, and with the old version only. Both are
-        estimated from these pairs alone; None if there are fewer than 20 pairs.
+        estimated from the pairs that `pairs` counts; None if there are fewer than 20.
     pairs_doubt : str
         Why `gained` and `lost` are None; empty if they are not.
     sets : SetDifference or None
-        Estimate from all scenarios of both studies; None if no interval can be computed.
+        Estimated change of the critical set, from all scenarios of both studies; None if no interval can be computed.
     sets_doubt : str
         Why `sets` is None; empty if it is not.
     parameters, units : tuple of str
@@ -390,9 +390,9 @@ class SpaceChange:
     shares : tuple of (Estimate, Estimate) or None
         Critical share of the space with each version, from scenarios that fill it; None if there are too few.
     change : Estimate or None
-        Change of this share, new minus old. Its interval holds with at least 90 %.
+        Change of the critical share, new minus old, with an interval of at least 90 % confidence.
     counts : tuple of (int, int)
-        Number of scenarios behind `shares`; of pairs, both are the same.
+        Number of scenarios of each study from which `shares` is estimated; both are equal if scenarios are paired.
 
     Examples
     --------
@@ -444,7 +444,7 @@ class Example:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Result of a comparison of two versions; as a bool it says whether anything changed.
+    """Result of a comparison of two versions; as a bool, the result is True if anything changed.
 
     Attributes
     ----------
@@ -482,9 +482,9 @@ class Comparison:
     verdicts : mapping of tuple of (str, str, str) to int
         Number of pairs by requirement, old and new state.
     clusters : mapping of str to tuple of ClusterChange
-        Changes of clusters, by aspect that the old study was clustered by.
+        Changes of clusters, by aspect (what the scenarios of the old study were clustered by).
     space : SpaceChange or None
-        How the critical part of the space changed; None without a threshold.
+        Change of the critical part of the space; None without a threshold.
     examples : tuple of Example
         At most five examples.
     metrics : mapping of str to Metric
@@ -492,7 +492,7 @@ class Comparison:
     critical : float or None
         Threshold that was given for the comparison; None if each study's own threshold is used.
     unpaired : tuple of (UnpairedScenarios, UnpairedScenarios) or None
-        What the scenarios of each study are that the other study lacks.
+        Scenarios of each study that the other study lacks.
     same_search : bool
         Whether both studies were made by the same search with the same seed.
     main_aspect : str
@@ -546,8 +546,8 @@ class Comparison:
         DataFrame
             One row per pair, indexed by ``old`` and ``new``, the ids in both studies. The columns are the parameters
             and ``run`` (whether the recordings are the same). Each metric, ``outcome`` and ``critical`` have a column
-            for each version, such as ``old outcome`` and ``new outcome``. If a run failed, these cells are empty; those
-            of ``critical`` also without a threshold.
+            for each version, such as ``old outcome`` and ``new outcome``. If a run failed, these cells are empty.
+            Cells of ``critical`` are also empty without a threshold.
         """
         import pandas as pd
 
@@ -597,7 +597,7 @@ class Comparison:
         Returns
         -------
         dict of str to object
-            Of the pairs only those that are not the same.
+            ``changed_pairs`` has only the pairs whose recordings are not identical.
         """
         space = self.space
         return {

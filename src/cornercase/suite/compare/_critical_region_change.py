@@ -22,10 +22,11 @@ _DRAW_SEED = 0
 def estimate_space_change(old: StudySide, new: StudySide, pairs: tuple[ScenarioPair, ...]) -> SpaceChange | None:
     """Estimate how the critical part of the space changed; None without a threshold, or if a study was not explored.
 
-    An optimizer prefers critical scenarios, so its choices say nothing about fractions of the space. Only pairs from
-    initial designs and audits (random scenarios for assessment only) are counted. The number of pairs that are critical
-    only with the new version, or only with the old one, gives the Clopper-Pearson interval of the fraction of the space
-    that became critical, or ceased to be. This needs no model.
+    An optimizer prefers critical scenarios, so its choices say nothing about fractions of the space. Only scenarios
+    from initial designs and audits (scenarios drawn at random as a check) are counted. The numbers of pairs that are
+    critical with one version only give Clopper-Pearson intervals of the fractions of the space that became critical,
+    and that are no longer critical. If there are fewer than 20 pairs, the samples of both studies are compared without
+    pairs. In addition, the critical sets are estimated from all scenarios of both studies.
     """
     if not (old.is_critical and new.is_critical and old.is_explored and new.is_explored):
         return None
@@ -64,7 +65,7 @@ def estimate_space_change(old: StudySide, new: StudySide, pairs: tuple[ScenarioP
     else:
         sets, sets_reason = _compare_critical_sets(old.study, new.study)
     parameters = old.study.space.parameters
-    names, units = tuple(pair.name for pair in parameters), tuple(pair.unit for pair in parameters)
+    names, units = tuple(item.name for item in parameters), tuple(item.unit for item in parameters)
     return SpaceChange(len(independent), gained, lost, reason, sets, sets_reason, names, units, shares, change, counts)
 
 
@@ -73,10 +74,10 @@ def _shares_of(old: BoolArray, new: BoolArray) -> tuple[Estimate, Estimate]:
 
 
 def _difference(more: tuple[int, int], less: tuple[int, int]) -> Estimate:
-    """Estimate the difference of two proportions, each given as hits and draws, with a 90 % interval.
+    """Estimate `more` minus `less`, two proportions that are given as hits and draws, with a 90 % interval.
 
-    Each proportion lies in its 95 % interval of Clopper and Pearson, so with at least 90 % both do (Bonferroni), even
-    if they are dependent, and their difference lies between the differences of the ends.
+    The interval combines the 95 % Clopper-Pearson intervals of both proportions (Bonferroni), so it also holds if the
+    proportions are dependent.
     """
     (low, high), (other_low, other_high) = (clopper_pearson_interval(*proportion, 0.025) for proportion in (more, less))
     return Estimate(more[0] / more[1] - less[0] / less[1], low - other_high, high - other_low)

@@ -46,7 +46,7 @@ class ComparisonSection:
 
     @property
     def text_rows(self) -> tuple[tuple[str, ...], ...]:
-        """Rows of the table with texts only."""
+        """Rows of the table, with all cells as text."""
         return tuple(tuple(map(_format_cell, row)) for row in self.rows)
 
 
@@ -248,7 +248,7 @@ def _describe_size_change(old: int, new: int) -> str:
 
 
 def _format_cell(cell: Cell) -> str:
-    """Return a cell as text; of many scenarios, the first are named."""
+    """Return a cell as text; at most `MAX_TABLE_SCENARIOS` scenarios are named, the others are counted."""
     if isinstance(cell, str):
         return cell
     n_more = len(cell) - MAX_TABLE_SCENARIOS

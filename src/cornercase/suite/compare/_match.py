@@ -29,10 +29,10 @@ _ROUNDING_TOLERANCE = 1e-6
 class StudySide:
     """One of the two studies of a comparison; mappings are by scenario id.
 
-    `rows` are scenarios that have ended; of several with the same parameter values, only the first. `fills_space` tells
-    whether a scenario is part of a sample of the space that does not depend on scores. `is_explored` tells whether an
-    optimizer chose scenarios. `scores` are by metric. `is_critical` is empty without a threshold. `impacts` are the
-    ego's collisions.
+    `rows` are the scenarios that have ended; if parameter values are repeated, only the first scenario with them.
+    `fills_space` says whether a scenario belongs to a sample of the space that does not depend on scores. `is_explored`
+    says whether an optimizer chose scenarios. `scores` has the scores by metric. `is_critical` is empty without a
+    threshold. `impacts` are the ego's collisions.
     """
 
     study: StudyFile
@@ -64,9 +64,7 @@ class StudySide:
             searched_rows = [row for row in rows if not fills[row.id]]
             points = np.array([row.point for row in searched_rows]).reshape(-1, study.space.dimension)
             is_independent = is_score_independent(study.meta.optimizer, study.space, study.meta.seed, points)
-            fills |= {
-                row.id: bool(scenario) for row, scenario in zip(searched_rows, is_independent, strict=True) if scenario
-            }
+            fills |= {row.id: bool(counts) for row, counts in zip(searched_rows, is_independent, strict=True) if counts}
         return cls(study, tuple(first_rows.values()), fills, searched, scores, critical, verdicts, study.impacts())
 
     def is_score_independent(self, scenario: int) -> bool:
@@ -79,7 +77,7 @@ class StudySide:
 
 
 def scenario_key(study: StudyFile, row: ScenarioRecord) -> tuple[object, ...]:
-    """Return the parameter values of a scenario, texts for choices, to find it in the other study."""
+    """Return the parameter values of a scenario as a key to find the same scenario in another study."""
     return tuple(
         str(value) if parameter.choices else float(value)
         for parameter in study.space.parameters
@@ -95,7 +93,7 @@ def criticality_metrics(study: StudyFile) -> tuple[str, ...]:
 
 
 def match_pairs(old: StudySide, new: StudySide, metrics: Sequence[str]) -> tuple[ScenarioPair, ...]:
-    """Pair the scenarios that ended in both studies, in the order of the old one, and compare their results."""
+    """Pair the scenarios that ended in both studies, in the order of the old study, and compare their results."""
     other = old.study.primary_other()
     partners = {scenario_key(new.study, row): row for row in new.rows}
     pairs = []
@@ -146,7 +144,7 @@ def _build_pair(
 
 
 def _describe_fault(side: StudySide, scenario: int) -> str:
-    """Say whose fault the ego's first collision is, in the words of a report; empty without one, or if unknown."""
+    """Return as text who is at fault in the ego's first collision; empty without a collision, or if unknown."""
     impacts = side.impacts.get(scenario, ())
     if not impacts or impacts[0].fault is None:
         return ""
@@ -165,7 +163,10 @@ def _changed_margins(
     ego: str,
     others: Sequence[str],
 ) -> dict[str, tuple[float, float]]:
-    """Return old and new margin of each requirement that changed between passed and failed, if it has a margin."""
+    """Return the old and new margin (robustness) of each requirement that changed between passed and failed.
+
+    Requirements without a margin, such as ``"no collision"``, are left out.
+    """
     margins = {}
     for before, after in zip(*verdicts, strict=True):
         if {before.state, after.state} == {"passed", "failed"}:
@@ -177,7 +178,7 @@ def _changed_margins(
 
 
 def compare_recordings(old: Recording, new: Recording) -> RunComparison:
-    """Tell whether two recordings have the same entities, collisions and motion."""
+    """Return whether two recordings are the same, the same within rounding, or different (``"otherwise"``)."""
     if old.names != new.names or old.object_types != new.object_types or old.time.shape != new.time.shape:
         return "otherwise"
     if are_bitwise_equal(old, new):
@@ -198,7 +199,7 @@ def _match_verdicts(old: Sequence[Verdict], new: Sequence[Verdict]) -> tuple[tup
 def describe_unpaired(
     old: StudySide, new: StudySide, pairs: Sequence[ScenarioPair]
 ) -> tuple[UnpairedScenarios, UnpairedScenarios]:
-    """Count the scenarios of each study without a partner, and what is known of them."""
+    """Count the scenarios that only one study ran, also those that are critical, collide, or were chosen by scores."""
 
     def count_side(side: StudySide, paired: set[int]) -> UnpairedScenarios:
         ids = [row.id for row in side.rows if row.id not in paired]
@@ -218,7 +219,7 @@ def choose_compared_metrics(old: StudyFile, new: StudyFile, metrics: Sequence[st
     if not _have_same_scenarios(a, b) and IMPORTED_SIMULATOR not in (a.simulator, b.simulator):
         subject = "suites" if a.suite and b.suite else "scenarios"
         versions = (
-            f"different versions of the same {subject[:-1]}" if a.file_name == b.file_name else f"other {subject}"
+            f"different versions of the same {subject[:-1]}" if a.file_name == b.file_name else f"different {subject}"
         )
         raise InputError(
             f"{pair}: are of {versions} ({a.file_name}, {b.file_name}); compare studies of the same scenarios."
@@ -274,13 +275,13 @@ def _have_same_scenarios(old: StudyMeta, new: StudyMeta) -> bool:
 
 
 def _describe_criterion(meta: StudyMeta) -> str:
-    """Name the metrics whose scores say whether a scenario is critical, with their weights where there are any."""
+    """Return as text the metrics whose scores say whether a scenario is critical, with their weights if any."""
     weighted = [f"{weight:g} {name}" for name, weight in sorted(dict(meta.weights).items())]
     return " + ".join(weighted) or meta.metrics[0]
 
 
 def space_filling_scores(side: StudySide, metrics: Sequence[str]) -> tuple[dict[str, FloatArray], dict[str, BoolArray]]:
-    """Return scores by metric, and facts, of the scenarios of one study that fill the space, arrays of shape (n,)."""
+    """Return scores by metric, and facts (collision, critical), of the n space-filling scenarios of a study."""
     ids, meta = side.space_filling_ids(), side.study.meta
     scores = {name: np.array([side.scores[scenario][name] for scenario in ids]) for name in metrics}
     hits = [

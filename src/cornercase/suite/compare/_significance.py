@@ -78,7 +78,7 @@ def holm_correct(tests: Sequence[ChangeTest]) -> tuple[ChangeTest, ...]:
 
 
 def test_pairs(pairs: Sequence[ScenarioPair], metrics: Mapping[str, Metric]) -> list[ChangeTest]:
-    """Test whether scores and facts of at least one pair differ between the versions; p-values are not corrected."""
+    """Test whether scores and facts, such as collisions, differ between the versions; p-values are not corrected."""
     both_ran = [pair for pair in pairs if pair.both_ran]
     results = []
     for name in metrics if both_ran else ():
@@ -130,9 +130,10 @@ def test_unpaired_samples(
 ) -> list[ChangeTest]:
     """Test whether scores and facts differ between two samples of the space, one per study, without pairs.
 
-    `scores` maps metrics, and `facts` names, to arrays of shape (n,). Points of a Sobol' sequence are more even than
-    random points, so the tests are conservative. `sets`, the change of the critical set, tests the fact "critical"
-    instead: it uses all scenarios of both studies. p-values are not corrected.
+    For each study, `scores` has an array of shape (n,) by metric, and `facts` by name ("collision", "critical"). Points
+    of a Sobol' sequence are more even than random points, so the tests are conservative. If the change of the critical
+    set is given as `sets`, it replaces the test of "critical", since it uses all scenarios of both studies. p-values
+    are not corrected.
 
     H. B. Mann, D. R. Whitney, "On a test of whether one of two random variables is stochastically larger than the
     other", Annals of Mathematical Statistics 18 (1947); R. A. Fisher, "The design of experiments" (1935).
