@@ -199,7 +199,10 @@ def test_a_damaged_study_to_compare_with_is_told_before_anything_is_run(reduced,
         ("[for]\n'a: b' = ['no collision']", "no file of"),
         ("[for]\n' ' = ['no collision']", "is not a pattern of file names"),
         ("[kind]\n'no such *' = ['no collision']", "belongs to such a cluster; the clusters are "),
-        ("kind = ['no collision']", "'kind' is not a table with a list of requirements for each pattern of names of kinds"),
+        (
+            "kind = ['no collision']",
+            "'kind' is not a table with a list of requirements for each pattern of names of kinds",
+        ),
     ],
 )
 def test_files_of_requirements_that_cannot_be_used_are_refused(content, words, explored, tmp_path):

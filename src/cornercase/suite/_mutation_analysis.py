@@ -305,7 +305,8 @@ def _require_fixed_driver(ego: str, concretes: Sequence[ConcreteScenario]) -> No
     for concrete in concretes:
         if others := {*concrete.values} - {*concrete.without_driver_parameters(ego).values}:
             raise InputError(
-                f"Mutants need one driver of {ego}, but its parameter {min(others)} varies; leave out the mutants."
+                f"Mutants need one driver of {ego}, but {min(others)} varies between the scenarios;"
+                " leave out the mutants."
             )
 
 
