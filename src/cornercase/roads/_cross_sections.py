@@ -1,4 +1,4 @@
-"""Lanes beside a path along lanes, and the signals along it."""
+"""Cross-sections along a path on lanes: the lanes beside the path, and the signals along the path."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class CrossSections:
     `own` is the column of the lanes that the path follows; lane 0 has no column. Arrays (P, L): `left` and `right` are
     the offsets of a lane's edges from the path in m, positive to the left, NaN where there is no lane; `lane_type` is
     an index in `types`; `is_along` says whether traffic runs along the path; `speed_limit` is in m/s, NaN if unknown.
-    `signals` are name, type and distance along the path in m of those that concern traffic on the path.
+    `signals` has the name, type and distance along the path in m of each signal that concerns traffic on the path.
     """
 
     path: LanePath
@@ -41,7 +41,7 @@ class CrossSections:
 
     @classmethod
     def along(cls, network: RoadNetwork, path: LanePath) -> CrossSections:
-        """Return the cross-sections along a path on a network; they are computed once."""
+        """Return the cross-sections along a path on a network; computed once for each path."""
         if "cross-sections" not in path.cache:
             path.cache["cross-sections"] = cls._compute(network, path)
         sections: CrossSections = path.cache["cross-sections"]
@@ -80,7 +80,10 @@ class CrossSections:
         )
 
     def edges_at(self, distance: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
-        """Return the sample before each distance along the path (…), and both edges of all lanes there (…, L)."""
+        """Return the last sample at or before each distance along the path, and the left and right edges of all lanes.
+
+        `distance` is in m, of any shape. The edges are offsets from the path in m; lanes are the last axis.
+        """
         stations = self.path.distance
         k = np.clip(np.searchsorted(stations, distance, "right") - 1, 0, len(stations) - 2)
         share = np.clip((distance - stations[k]) / (stations[k + 1] - stations[k]), 0.0, 1.0)
@@ -92,14 +95,20 @@ class CrossSections:
         return k + (share[..., 0] == 1.0), left, right
 
     def columns_at(self, distance: FloatArray, offset: FloatArray) -> IntArray:
-        """Return the column of the lane at points, `NO_LANE` if there is none; of two that touch, the left signal."""
+        """Return the column of the lane at points, `NO_LANE` if there is none; on a common edge, that of the left lane.
+
+        Points are given by the distance along the path in m, and the offset to the left of the path in m.
+        """
         _, left, right = self.edges_at(distance)
         holds = (right <= offset[..., None]) & (offset[..., None] <= left) & (right < left)
         return np.where(holds.any(axis=-1), holds.argmax(axis=-1), NO_LANE)
 
 
 def _iter_stretches(network: RoadNetwork, path: LanePath) -> Iterator[tuple[slice, Road, int, dict[int, int]]]:
-    """Yield the samples of each lane of a path, its road and section, and for each lane there how far left it is."""
+    """Yield each stretch of a path in one lane section: its samples, road, section, and the positions of all lanes.
+
+    Positions map each lane number of the section to the number of lanes by which it is left of the path.
+    """
     section = np.zeros(len(path.road), dtype=np.int64)
     for r in np.unique(path.road):
         rows = path.road == r
@@ -111,19 +120,19 @@ def _iter_stretches(network: RoadNetwork, path: LanePath) -> Iterator[tuple[slic
 
 
 def _runs_of_equal(*values: npt.NDArray[Any]) -> Iterator[slice]:
-    """Yield the runs of samples in which no value changes."""
+    """Yield slices of consecutive samples in which no value changes."""
     changes = np.any([value[1:] != value[:-1] for value in values], axis=0)
     ends = [*(np.flatnonzero(changes) + 1).tolist(), len(values[0])]
     yield from (slice(start, end) for start, end in zip([0, *ends[:-1]], ends, strict=True))
 
 
 def _rank(lane: int) -> int:
-    """Position of a lane among all: there is none between 1 and -1."""
+    """Return the position of a lane among all lanes, in which the lanes 1 and -1 are neighbours."""
     return lane - 1 if lane > 0 else lane
 
 
 def _find_signals(network: RoadNetwork, path: LanePath) -> Iterator[tuple[str, str, float]]:
-    """Yield name, type and distance of the signals along a path, in this order."""
+    """Yield name, type and distance along a path of each signal that concerns its traffic, in the order of the path."""
     types = {signal.name: signal.signal_type for road in network.roads for signal in road.signals if signal.signal_type}
     # Roads begin and end between samples.
     margin = 1.5 * float(path.distance[1] - path.distance[0])

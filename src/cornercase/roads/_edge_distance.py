@@ -1,4 +1,4 @@
-"""How far boxes are from the edges of their lanes, or of the road."""
+"""Distances of boxes (outlines of entities) from the edges of their lanes, or of the road."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from cornercase.roads._nearest import NearestPointIndex
 from cornercase.roads._network import RoadNetwork
 from cornercase.roads._road import Road
 
-# Distance in m of the points of a reference line among which the nearest is searched, and steps that then refine it.
+# Spacing in m of points on a reference line, among which the nearest is searched, and number of refinement steps.
 _SAMPLE_DISTANCE: Final = 1.0
 _N_REFINEMENTS: Final = 4
-# Least cosine of the angle between a box and the traffic of the lane that counts as its own.
+# Smallest cosine of the angle between a box and the traffic of a lane for the lane to be the box's own.
 _SAME_DIRECTION: Final = 0.5
 # Length in m by which a road may end before the centre of a box on it.
 _END_TOLERANCE: Final = 0.01
@@ -24,11 +24,12 @@ _END_TOLERANCE: Final = 0.01
 def lane_margins(
     network: RoadNetwork, x: FloatArray, y: FloatArray, heading: FloatArray, corners: FloatArray
 ) -> FloatArray:
-    """Return the distances in m from the outermost corner of boxes to the edge of their lane, (T,).
+    """Return how far boxes (outlines of entities) are inside of their lane, in m, shape (T,); negative outside.
 
-    They are negative outside of it. `x`, `y`, `heading` (T,) are those of the centres, `corners` is (T, 4, 2). The lane
-    of a box is the drivable one in which its centre is, preferably with traffic in its direction; where lanes overlap,
-    as in junctions, that in which it is best; without any, the one that it is nearest to.
+    The distance is measured from the outermost corner to the edge of the lane. `x`, `y` and `heading`, shape (T,), are
+    the poses of the centres, and `corners` has shape (T, 4, 2). The lane of a box is the drivable lane that contains
+    its centre, preferably with traffic in the direction of the box. If several lanes qualify, as in junctions, the
+    largest distance counts. If no lane contains the centre, the nearest lane counts. NaN if there is no lane.
     """
     # One row per order of preference.
     best = np.full((3, len(x)), -np.inf)
@@ -50,9 +51,10 @@ def lane_margins(
 
 
 def road_margins(network: RoadNetwork, x: FloatArray, y: FloatArray, corners: FloatArray) -> FloatArray:
-    """Return the distances in m from the outermost corner of boxes to the edge of all drivable lanes, (T,).
+    """Return how far boxes (outlines of entities) are inside of the drivable lanes, in m, shape (T,); negative outside.
 
-    They are negative outside of them; arguments as in `lane_margins`.
+    The distance is measured from the outermost corner to the edge of all drivable lanes together. Arguments are as in
+    `lane_margins`.
     """
     best = np.full((len(x), 4), -np.inf)
     for road, rows in _iter_roads_near(network, x, y):
@@ -65,7 +67,7 @@ def road_margins(network: RoadNetwork, x: FloatArray, y: FloatArray, corners: Fl
 
 
 def _iter_roads_near(network: RoadNetwork, x: FloatArray, y: FloatArray) -> Iterator[tuple[Road, IntArray]]:
-    """Yield roads, and the indices of the points that are on them or in their junctions."""
+    """Yield roads, and the indices of the points whose nearest road is the road or another road of its junction."""
     present = np.flatnonzero(np.isfinite(x + y))
     if not present.size:
         return
@@ -82,9 +84,9 @@ def _iter_roads_near(network: RoadNetwork, x: FloatArray, y: FloatArray) -> Iter
 
 
 def _iter_strips(road: Road, section: IntArray, merge: bool) -> Iterator[tuple[tuple[int, ...], IntArray]]:
-    """Yield the drivable lanes of the sections at points, and the indices of these points.
+    """Yield each strip of drivable lanes (as lane numbers) in the sections at points, and the indices of these points.
 
-    With `merge`, neighbours form one strip.
+    A strip is a single lane or, with `merge`, all drivable lanes that are neighbours.
     """
     for k in sorted(set(section.tolist())):
         lanes = road.sections[k][1]

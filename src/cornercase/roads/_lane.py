@@ -53,7 +53,7 @@ _LANE_TYPES: Final = (
 )
 
 PERMANENT_LAYER: Final = "permanent"
-"""Layer of lanes outside of roadworks."""
+"""Name of the layer of lanes that hold outside of roadworks."""
 
 CubicPolynomial = tuple[float, float, float, float, float]
 """Start in m and coefficients of a cubic, lowest first."""
@@ -80,7 +80,7 @@ class Lane:
 
     @property
     def is_drivable(self) -> bool:
-        """Whether vehicles may drive on the lane."""
+        """True if vehicles may drive on the lane."""
         return self.lane_type in _DRIVABLE_TYPES
 
 
@@ -134,7 +134,7 @@ def read_lane_sections(
 
 
 def _note_problems_of_section(section: etree._Element, start: float, length: float) -> None:
-    """Note that a lane section begins beyond the end of the road, or has no center lane."""
+    """Note violations of the standard: a lane section begins beyond the end of the road, or has no center lane."""
     if start >= length:
         reason = f"begins at s = {start:g} m, but the road ends at {length:g} m; it is never reached"
         note_adaptation(
@@ -218,7 +218,7 @@ def _read_lanes(section: etree._Element, side: str, location: str) -> dict[int, 
 
 
 def _record_late_width(lane: etree._Element, cubics: Sequence[CubicPolynomial]) -> None:
-    """Note that the widths of a lane do not begin at the start of its section."""
+    """Note a violation of the standard if the widths of a lane do not begin at the start of the lane section."""
     if cubics and abs(start := cubics[0][0]) > _COORDINATE_TOLERANCE:
         tag = "width" if lane.find("width") is not None else "border"
         reason = f"begins at {start:g} m of its lane section" + (
@@ -245,12 +245,15 @@ def _read_linked_lanes(lane: etree._Element, path: str, location: str) -> tuple[
 
 
 def is_in_permanent_layer(element: etree._Element, *layer_attributes: str) -> bool:
-    """Whether an element belongs to the permanent layer, the default of the layer attributes (by default ``layer``)."""
+    """Return whether an element belongs to the permanent layer (lanes outside of roadworks).
+
+    `layer_attributes` are the attributes that name layers, by default ``layer``. Without them, the layer is permanent.
+    """
     return all(element.get(name, PERMANENT_LAYER) == PERMANENT_LAYER for name in layer_attributes or ("layer",))
 
 
 def read_lane_number(element: etree._Element, location: str, attribute: str = "id") -> int:
-    """Read the number of a lane; raises `InputError` if it is not an integer or too large."""
+    """Read the number of a lane; raises `InputError` if the number is not an integer or too large."""
     number = read_finite_number(element, attribute, location)
     if number != int(number):
         location = replace_line(location, element)

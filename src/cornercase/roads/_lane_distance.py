@@ -24,7 +24,7 @@ _CELLS_PER_ROW: Final = 1 << 31
 
 
 class LaneDistanceIndex:
-    """Computes the distance of points from the nearest of all lanes."""
+    """Search index for the distances of points from the nearest lane."""
 
     def __init__(self, roads: Sequence[Road]) -> None:
         samples = np.concatenate([_sample_lanes(road) for road in roads])
@@ -36,7 +36,7 @@ class LaneDistanceIndex:
     def distances(self, x: FloatArray, y: FloatArray) -> FloatArray:
         """Return the distance of each point from the nearest lane in m, shape (N,).
 
-        It is 0 for points closer than `NEAR_DISTANCE`, and for NaN.
+        The distance is returned as 0 for points closer than `NEAR_DISTANCE`, and for NaN.
         """
         result = np.zeros(len(x))
         finite = np.flatnonzero(np.isfinite(x + y))

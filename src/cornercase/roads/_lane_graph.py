@@ -1,4 +1,4 @@
-"""Routes from lane to lane."""
+"""Graph of lanes: which lanes continue a lane, and routes from lane to lane."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ class DirectedLane(NamedTuple):
 class LaneWalk(NamedTuple):
     """A sequence of directed lanes.
 
-    `goals_passed` has the number of goals passed at the end of each lane. `is_dead_end` says whether no lane follows
-    the last one.
+    `goals_passed` has the number of goals (roads on the route) passed at the end of each lane. `is_dead_end` says
+    whether no lane follows the last lane.
     """
 
     stretches: list[DirectedLane]
@@ -51,7 +51,7 @@ class LaneWalk(NamedTuple):
 class LaneGraph:
     """Lanes of a road network, and their connections.
 
-    `connections` has the connections of each junction. `road_indices` maps road ids to indices.
+    `connections` has the connections of each junction, by junction id. `road_indices` maps road ids to indices.
     """
 
     def __init__(
@@ -69,8 +69,8 @@ class LaneGraph:
         `goals` are roads, in the order in which to pass them; the first may be the road of `start`. The walk ends about
         `max_length` m after the first lane.
         """
-        behind = int(bool(goals) and goals[0] == start.road)
-        stretches, passed, length, seen = [start], [behind], 0.0, {start}
+        n_passed = int(bool(goals) and goals[0] == start.road)
+        stretches, passed, length, seen = [start], [n_passed], 0.0, {start}
         for k in range(_MAX_STRETCHES):
             first, last = self.s_interval(start)
             length += last - first if k else 0.0
@@ -79,13 +79,13 @@ class LaneGraph:
                 return LaneWalk(stretches, passed, is_dead_end=True)
             if length > max_length:
                 break
-            start = self._choose_exit(start, options, goals[behind] if behind < len(goals) else None)
+            start = self._choose_exit(start, options, goals[n_passed] if n_passed < len(goals) else None)
             if start in seen and length > _MAX_LOOP_LENGTH:
                 break
-            behind += behind < len(goals) and goals[behind] == start.road
+            n_passed += n_passed < len(goals) and goals[n_passed] == start.road
             seen.add(start)
             stretches.append(start)
-            passed.append(behind)
+            passed.append(n_passed)
         return LaneWalk(stretches, passed, is_dead_end=False)
 
     def _choose_exit(self, lane: DirectedLane, options: list[DirectedLane], goal: int | None) -> DirectedLane:
@@ -147,9 +147,9 @@ class LaneGraph:
 
     @cached_property
     def loose_links(self) -> dict[tuple[int, int], float]:
-        """Linked roads with a small gap between them: the largest gap in m by pair of road indices.
+        """Linked roads with a small gap between lane ends: the largest gap in m by pair of road indices.
 
-        Filled by `find_exits`.
+        `find_exits` fills this mapping.
         """
         return {}
 
@@ -159,7 +159,7 @@ class LaneGraph:
         return {}
 
     def _connects_road_ends(self, lane: DirectedLane, option: DirectedLane) -> bool:
-        """Whether a transition between lanes leads from an end of one road to an end of another road."""
+        """Return whether a transition between lanes leads from an end of one road to an end of another road."""
         ends = [(self._end_s(lane), self._roads[lane.road]), (self._start_s(option), self._roads[option.road])]
         return lane.road != option.road and all(s in (0.0, road.length) for s, road in ends)
 
@@ -188,8 +188,8 @@ class LaneGraph:
             return []
         if link.target_type == "road":
             return self._enter_linked_road(link, linked, lane.forward)
-        # A connecting road's own links tell more than the junction's: which end of this road it meets, and they
-        # also hold for an entity that drives against the traffic.
+        # The links of a connecting road say more than those of the junction: which end of this road is met. They also
+        # hold for an entity that drives against the traffic.
         end = "end" if lane.forward else "start"
         options = list[DirectedLane]()
         for name, contact in self.road_graph.connecting_roads_at_ends.get((link.target_id, road.road_id, end), ()):

@@ -23,7 +23,7 @@ MIN_JUMP: Final = 0.005
 # Distance in m from a jump within which points do not determine the heading.
 _JUMP_MARGIN: Final = 2.5 * SAMPLE_DISTANCE
 KINK_ANGLE: Final = 0.1
-"""Change of heading in rad between two samples from which on there is a corner."""
+"""Smallest change of heading in rad between two samples that counts as a corner."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,9 +32,9 @@ class LanePath:
 
     `s`, `road`, `lane` and `forward` (along the road's s) are the road coordinates of the samples. `goals_passed` is
     the number of goals of the route that were passed. `reference_distance` is the distance along the reference lines,
-    and `center_offset` the offset to the left of them. `reference_curvature` (K,) is the curvature of the reference
-    lines, positive to the left, at the distances `curvature_distance` (K,) along them; it is piecewise linear, and
-    jumps where a distance is repeated.
+    and `center_offset` is the offset from the reference lines to the left. `reference_curvature` (K,) is the curvature
+    of the reference lines, positive to the left, at the distances `curvature_distance` (K,). The curvature is piecewise
+    linear, and jumps if a distance is repeated.
 
     The path contains the lane that was requested: `lane_s` has its start and end as s, `lane_span` as distances along
     the path, and `lane_reference_distance` its start along the reference lines. If `has_start` or `has_end` is False,
@@ -162,7 +162,7 @@ class LanePath:
     def distance_of_s(self, s: FloatArray) -> FloatArray:
         """Return the distance along the path for each s on the requested lane, in m, shape (N,).
 
-        Clipped to the lane.
+        Positions beyond the lane are clipped to its ends.
         """
         low, high = sorted(self.lane_s)
         target = self.lane_reference_distance + np.abs(np.clip(s, low, high) - self.lane_s[0])
@@ -193,7 +193,7 @@ def _distances_along_line(
 
 
 def find_first_after_jumps(reference_distance: FloatArray, jumps: Sequence[float]) -> BoolArray:
-    """Return which points are the first after a jump, shape (Q,); `jumps` are distances along the reference lines."""
+    """Return a mask of the first point after each jump, shape (Q,); `jumps` are distances along the reference lines."""
     jumped = np.zeros(len(reference_distance), dtype=np.bool_)
     behind = np.searchsorted(reference_distance, np.asarray(jumps))
     jumped[behind[behind < len(reference_distance)]] = True

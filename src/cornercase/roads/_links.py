@@ -72,7 +72,7 @@ def _nearer_end(road: Road, end: str, other: Road) -> str:
 
 
 def _record_missing_lanes(roads: Mapping[str, Road], elements: Mapping[str, etree._Element]) -> None:
-    """Note on the file which lanes are linked to lanes that do not exist."""
+    """Note violations of the standard: lanes that are linked to lanes that do not exist."""
     for name, road in roads.items():
         lost = set(_links_to_missing_lanes(road, roads))
         if not lost:
@@ -116,7 +116,7 @@ def _lanes_of_linked_end(link: RoadLink | None, roads: Mapping[str, Road]) -> Ma
 def read_junction_connections(
     junction: etree._Element, location: str, roads: Mapping[str, Road], elements: Mapping[str, etree._Element]
 ) -> tuple[JunctionConnection, ...]:
-    """Read the connections of a junction; connections with roads that do not exist are left out."""
+    """Read the connections of a junction; connections with roads that do not exist, or cannot be used, are left out."""
     connections = []
     for e in junction.iterfind("connection"):
         links = {

@@ -21,7 +21,7 @@ from cornercase.roads._road import Road
 _SAMPLE_DISTANCE: Final = 0.5
 _MAX_SAMPLES: Final = 2_000_000
 OFF_ROAD_TOLERANCE: Final = 2.0
-"""Distance beside its road in m up to which an entity stays on it, as in esmini."""
+"""Largest distance in m from the edge of a road at which an entity still stays on this road, as in esmini."""
 # Number of nearest samples to compare.
 _N_CANDIDATES: Final = 24
 # Size of the cache.
@@ -57,7 +57,7 @@ class _LaneSamples(NamedTuple):
 
 
 class RoadLocator:
-    """Finds roads and lanes by position."""
+    """Search index for the road and lane at a position."""
 
     def __init__(self, roads: Sequence[Road], max_samples: int = _MAX_SAMPLES) -> None:
         self._roads, self._max_samples = roads, max_samples
@@ -120,7 +120,7 @@ class RoadLocator:
         return road, s
 
     def _find_road(self, x: FloatArray, y: FloatArray, heading: FloatArray) -> tuple[IntArray, FloatArray]:
-        """Return road and s of points whose previous road is unknown."""
+        """Return road and s of points whose previous road is unknown; in junctions, the heading decides."""
         located = self.locate(x, y)
         road, s = located.road, located.s
         best_turn = np.full(len(x), np.inf)
@@ -138,7 +138,7 @@ class RoadLocator:
     def _is_on_road(
         self, road: IntArray, x: FloatArray, y: FloatArray, s: FloatArray, n_projections: int, tolerance: float
     ) -> BoolArray:
-        """Return whether points are on given roads; `s` is a first guess, and is updated in place."""
+        """Return whether points are on the given roads; `s` has first guesses and is updated in place."""
         inside = np.zeros(len(x), dtype=np.bool_)
         for r in np.unique(road[(road >= 0) & np.isfinite(x)]):
             rows = np.flatnonzero((road == r) & np.isfinite(x))

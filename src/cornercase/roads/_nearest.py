@@ -19,7 +19,7 @@ _MAX_PAIRS_SO_FAR: Final = 10 * _MAX_BRUTE_FORCE_PAIRS
 
 
 class NearestPointIndex:
-    """Finds the nearest neighbours of query points among M fixed points, shape (M, 2)."""
+    """Search index for the nearest neighbours of query points among M fixed points, shape (M, 2)."""
 
     def __init__(self, points: FloatArray) -> None:
         self._points, self._n_pairs = points, 0

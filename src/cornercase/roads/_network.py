@@ -39,9 +39,9 @@ _MAX_CONTINUATION_GAP: Final = 0.3
 class RoadNetwork:
     """All roads of an OpenDRIVE file.
 
-    `connections` has the connections of each junction, and `priorities` its pairs of roads: the first
-    has right of way over the second. Roads that cannot be used are ignored; `excluded_roads` maps
-    their ids to the reason. `first_line` is the line of the first road in the file, for messages.
+    `connections` has the connections of each junction. `priorities` has pairs of roads for each junction; the first
+    road has right of way over the second. Roads that cannot be used are left out; `excluded_roads` maps the ids of
+    these roads to the reasons. `first_line` is the line of the first road in the file, for messages.
     """
 
     path: Path
@@ -115,7 +115,7 @@ class RoadNetwork:
         return np.array([road.length for road in self.roads])
 
     def road_index(self, road_id: str) -> int:
-        """Return the index of a road by its id; raises `InputError` if it does not exist or cannot be used."""
+        """Return the index of a road by its id; raises `InputError` if the road does not exist or cannot be used."""
         if road_id in self.excluded_roads:
             raise InputError(self.excluded_roads[road_id])
         if road_id not in self._road_indices:
@@ -123,7 +123,7 @@ class RoadNetwork:
         return self._road_indices[road_id]
 
     def find_road(self, road_id: str) -> int | None:
-        """Return the index of a road by its id; None if it does not exist or cannot be used."""
+        """Return the index of a road by its id; None if the road does not exist or cannot be used."""
         return self._road_indices.get(road_id)
 
     @cached_property
@@ -137,7 +137,7 @@ class RoadNetwork:
         return np.asarray(exists[current.section_at(s)])
 
     def is_traffic_forward(self, road: int, lane: int, s: float) -> bool:
-        """Whether traffic on a lane runs along the road's s, at `s` in m."""
+        """Return whether traffic on a lane runs along the road's s, at the coordinate `s` in m."""
         return bool(self.roads[road].is_traffic_forward(lane, np.array([s]))[0])
 
     def road_to_xy_heading(self, road: int, s: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -159,7 +159,7 @@ class RoadNetwork:
         return x, y, np.where(current.is_traffic_forward(lane, s), heading, heading + np.pi)
 
     def find_lane(self, road: int, s: FloatArray, t: FloatArray) -> tuple[IntArray, FloatArray]:
-        """Return the lane at road coordinates s and t, or the nearest lane; and the offset from its center.
+        """Return the lane at road coordinates s and t, or else the nearest lane, and the offset from the lane's center.
 
         The offset is in m, positive to the left, seen along s. All arrays have shape (N,).
         """
@@ -218,7 +218,7 @@ class RoadNetwork:
     def unconnected_links(self) -> list[tuple[str, str, float]]:
         """Return pairs of linked roads that do not meet, and the distance of their lanes in m.
 
-        Only roads that paths have reached so far are known.
+        Only links that paths have reached so far are checked.
         """
         pairs = sorted((*pair, distance) for pair, distance in self._lane_graph.unconnected_links.items())
         return [(self.roads[a].road_id, self.roads[b].road_id, distance) for a, b, distance in pairs]
@@ -226,7 +226,7 @@ class RoadNetwork:
     def loose_links(self) -> list[tuple[str, str, float]]:
         """Return pairs of linked roads that are more than 0.5 m apart, and the distance of their lane ends in m.
 
-        Only pairs that paths have crossed so far are known.
+        Only links that paths have reached so far are checked.
         """
         pairs = sorted((*pair, distance) for pair, distance in self._lane_graph.loose_links.items())
         return [(self.roads[a].road_id, self.roads[b].road_id, distance) for a, b, distance in pairs]
@@ -309,7 +309,7 @@ class RoadNetwork:
         return self._paths[key]
 
     def find_linked_lanes(self, road: int, section: int, lane: int, *, forward: bool) -> list[tuple[int, int, int]]:
-        """Return the lanes (road, section, lane) that follow a lane along s or, without `forward`, against it."""
+        """Return the lanes (road, section, lane) that continue a lane along s or, without `forward`, against s."""
         exits = self._lane_graph.find_exits(DirectedLane(road, section, lane, forward))
         return [(after.road, after.section, after.lane) for after in exits]
 
@@ -323,7 +323,7 @@ class RoadNetwork:
 
 
 def _link_positions(root: etree._Element, path: Path) -> dict[str, list[float]]:
-    """Return, by road id, the positions in m along this road at which other roads start or end."""
+    """Return the positions in m at which other roads start or end along a road, by id of this road."""
     positions: dict[str, list[float]] = {}
     for road in root.iterfind("road"):
         for link in (*road.iterfind("link/predecessor"), *road.iterfind("link/successor")):

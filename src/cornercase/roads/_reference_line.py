@@ -34,7 +34,7 @@ _MIN_DERIVATIVE: Final = 1e-9
 
 @dataclass(frozen=True)
 class ReferenceGeometry:
-    """A geometry of a reference line: start and length in m and rad, kind (element name), and shape parameters.
+    """A geometry of a reference line: start pose and length in m and rad, kind (element name), and shape parameters.
 
     `shape_parameters` are the curvature of an arc, the curvatures at both ends of a spiral, or the coefficients of a
     poly3. For a paramPoly3 they are the largest parameter, followed by the coefficients.
@@ -71,7 +71,7 @@ class ReferenceGeometry:
             bend = (du * ddv - dv * ddu) / np.maximum(np.hypot(du, dv), _MIN_DERIVATIVE) ** 3
             return np.where((distance < 0.0) | (distance > self.length), 0.0, bend)
         around = np.clip(np.stack([distance - _CURVATURE_HALF_STEP, distance + _CURVATURE_HALF_STEP]), 0.0, self.length)
-        turn = np.diff([self._local_pose(polynomial)[2] for polynomial in around], axis=0)[0]
+        turn = np.diff([self._local_pose(position)[2] for position in around], axis=0)[0]
         return np.asarray(wrap_angle(turn) / np.maximum(around[1] - around[0], _CURVATURE_HALF_STEP))
 
     def _local_pose(self, distance: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -203,7 +203,7 @@ def _spiral_pose(
 
 
 def is_nearly_arc(start_curvature: float, end_curvature: float, length: float) -> bool:
-    """Whether the curvature of a spiral is so constant that the spiral is treated as an arc."""
+    """Return whether the curvature of a spiral is nearly constant, so that the spiral is treated as an arc."""
     return abs((end_curvature - start_curvature) / length) * length**2 < _MAX_ARC_DEVIATION
 
 
@@ -245,7 +245,7 @@ def _positive_difference(end: str | None, start: float) -> float | None:
 
 
 def record_wrong_order(elements: Sequence[etree._Element], starts: Sequence[float]) -> None:
-    """Note on each element that starts before the previous one in the file; `starts` are in m."""
+    """Note a violation on each element that starts before the previous element in the file; `starts` are in m."""
     for element, start, previous in zip(elements[1:], starts[1:], starts[:-1], strict=True):
         if start < previous:
             tag = tag_without_namespace(element)
@@ -262,7 +262,7 @@ def _derivative_coefficients(coefficients: tuple[float, ...] | list[float]) -> l
 
 
 def read_finite_number(element: etree._Element, attribute: str, location: str, default: float | None = None) -> float:
-    """Read a finite number, or use `default` and note that; `location` names file and road."""
+    """Read a finite number from an attribute, or use `default` and note a violation; `location` names file and road."""
     text = element.get(attribute)
     if default is not None and not (text or "").strip():
         tag = tag_without_namespace(element)

@@ -32,17 +32,16 @@ def require_drivable_road(road: Road, element: etree._Element, location: str) ->
     The reference line must have no gaps and no extreme curvature, and must be about as long as its `length`. The road
     and its lanes must not be extremely far away.
     """
-    ends = [*(geometry_.s for geometry_ in road.geometries[1:]), road.length]
+    ends = [*(geometry.s for geometry in road.geometries[1:]), road.length]
     for geometry, end in zip(road.geometries, ends, strict=True):
         _require_valid_geometry(geometry, end, location)
-    for geometry_, following in pairwise(road.geometries):
-        x, y, _ = geometry_.pose_at(np.array([following.s - geometry_.s]))
+    for before, following in pairwise(road.geometries):
+        x, y, _ = before.pose_at(np.array([following.s - before.s]))
         distance = float(np.hypot(x[0] - following.x, y[0] - following.y))
         if distance > _MAX_GAP:
             raise InputError(
                 f"{location}: the <geometry> at s = {following.s:g} m begins {distance:.3g} m away"
-                f" from the end of the one"
-                " before; make them meet."
+                " from the end of the one before; make them meet."
             )
         if distance > _MAX_UNREPORTED_GAP:
             reason = f"begins up to {_MAX_GAP:g} m away from the end of the one before; entities jump across"
@@ -100,10 +99,10 @@ def _require_valid_geometry(geometry: ReferenceGeometry, end: float, location: s
 
 
 def _require_bounded_cubics(cubics: tuple[CubicPolynomial, ...], length: float, subject: str) -> None:
-    """Refuse piecewise cubics that become too large before the next piece starts."""
+    """Raise `InputError` if piecewise cubics become too large before the next piece starts."""
     ends = [*(start for start, *_ in cubics), length][1:]
     for (start, *coefficients), end in zip(cubics, ends, strict=False):
         reach = max(min(end, length) - max(start, 0.0), 0.0)
-        largest = sum(abs(of) * reach**power for power, of in enumerate(coefficients))
+        largest = sum(abs(coefficient) * reach**power for power, coefficient in enumerate(coefficients))
         if reach > 0.0 and not largest <= _MAX_LANE_OFFSET:
             raise InputError(f"{subject} reaches {largest:.3g} m out; at most {_MAX_LANE_OFFSET:g} m are read.")

@@ -75,14 +75,14 @@ class Road:
     signals: tuple[RoadSignal, ...] = ()
 
     def reference_pose(self, s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return x, y and heading of the reference line, shape (N,) each."""
+        """Return x, y and heading of the reference line at each s, shape (N,) each."""
         x, y, heading = (np.empty(len(s)) for _ in range(3))
         for geometry, rows in self._geometries_at(s):
             x[rows], y[rows], heading[rows] = geometry.pose_at(s[rows] - geometry.s)
         return x, y, heading
 
     def reference_curvature(self, s: FloatArray) -> FloatArray:
-        """Return the curvature of the reference line in 1/m, positive to the left, shape (N,)."""
+        """Return the curvature of the reference line at each s in 1/m, positive to the left, shape (N,)."""
         bend = np.empty(len(s))
         for geometry, rows in self._geometries_at(s):
             bend[rows] = geometry.curvature_at(s[rows] - geometry.s)
@@ -159,12 +159,12 @@ class Road:
         return np.clip(np.searchsorted(self.section_bounds[:-1], s, "right") - 1, 0, len(self.sections) - 1)
 
     def lane_center(self, section: int, lane: int, s: FloatArray) -> FloatArray:
-        """Return the lateral coordinate t of a lane's center, shape (N,)."""
+        """Return the lateral coordinate t of a lane's center at each s in m, shape (N,)."""
         inner, outer = self.lane_edge_offsets(section, lane, s)
         return 0.5 * (inner + outer)
 
     def lane_width(self, section: int, lane: int, s: FloatArray) -> FloatArray:
-        """Return the width of a lane, shape (N,)."""
+        """Return the width of a lane at each s in m, shape (N,)."""
         inner, outer = self.lane_edge_offsets(section, lane, s)
         return np.asarray(np.abs(outer - inner))
 
@@ -189,13 +189,13 @@ class Road:
         return right, left
 
     def is_traffic_forward(self, lane: int, s: FloatArray) -> BoolArray:
-        """Return whether traffic on a lane runs along s, shape (N,)."""
+        """Return whether traffic on a lane runs in the direction of s, at each s, shape (N,)."""
         usual = lane == 0 or (lane < 0) == self.is_right_hand_traffic
         reverse = np.array([lane in lanes and lanes[lane].is_reversed for _, lanes in self.sections])
         return usual ^ reverse[self.section_at(s)]
 
     def speed_limit(self, section: int, lane: int, s: FloatArray) -> FloatArray:
-        """Return the speed limit of a lane in m/s, shape (N,): its own, else that of the road; NaN if unknown."""
+        """Return the limit of a lane at each s in m/s, shape (N,), or else the limit of the road; NaN if unknown."""
         start, lanes = self.sections[section]
         of_lane = speed_limit_at(lanes[lane].speed_limits if lane in lanes else (), s - start)
         return np.where(np.isnan(of_lane), speed_limit_at(self.speed_limits, s), of_lane)
@@ -203,7 +203,7 @@ class Road:
     def lane_edge_offsets(
         self, section: int, lane: int, s: FloatArray, derivative: bool = False
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the lateral coordinates t of a lane's inner and outer edge, or their derivatives by s, (N,)."""
+        """Return the lateral coordinates t of a lane's inner and outer edge at each s, or their derivatives by s."""
         start, lanes = self.sections[section]
         sign = 1 if lane > 0 else -1
         zero = evaluate_polynomials(
@@ -277,7 +277,7 @@ def _read_geometries(road: etree._Element, location: str) -> tuple[ReferenceGeom
 
 
 def find_permanent_lanes(road: etree._Element, location: str) -> etree._Element | None:
-    """Return the <lanes> of the permanent layer; None if the road has no <lanes>."""
+    """Return the <lanes> of the permanent layer (outside of roadworks); None if the road has no <lanes>."""
     layers = find_untracked(road, "lanes")
     permanent = [element for element in layers if element.attrib.get("layer", PERMANENT_LAYER) == PERMANENT_LAYER]
     if len(permanent) > 1:

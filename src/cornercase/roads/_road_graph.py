@@ -13,14 +13,14 @@ from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.roads._road import Road, RoadLink
 
 MAX_GAP: Final = 1.0
-"""Largest gap in m between ends of roads, or of lanes beyond their widths, that are connected."""
+"""Largest gap in m between the ends of connected roads, or between connected lanes beyond their widths."""
 
 JunctionConnection = tuple[str, str, str, dict[int, int]]
 """Incoming road, connecting road, contact point and lane links."""
 
 
 class RoadGraph:
-    """Connections between the roads of a network, regardless of lanes; `LaneGraph` describes the arguments."""
+    """Connections between the roads of a network, regardless of lanes; arguments as in `LaneGraph`."""
 
     def __init__(
         self,
@@ -54,7 +54,7 @@ class RoadGraph:
     def length_to_goal(self, road: int, section: int, forward: bool, goal_road: int) -> float:
         """Return the driving distance in m from the start of a lane section to a road.
 
-        Infinite if it cannot be reached.
+        Infinite if the road cannot be reached.
         """
         if road == goal_road:
             return 0.0
@@ -76,7 +76,7 @@ class RoadGraph:
         return best
 
     def _routes_to(self, road: int, section: int, forward: bool, goal_road: int) -> list[tuple[float, float, bool]]:
-        """Return routes from the end of a lane section to a road: (length in m, s of arrival, whether along its s)."""
+        """Return routes from the end of a lane section to a road: length in m, s of arrival, whether along s there."""
         key = road, section, forward, goal_road
         if key in self._routes:
             return self._routes[key]
@@ -97,7 +97,7 @@ class RoadGraph:
         return self._routes[key]
 
     def _next_roads(self, road: int, forward: bool, s: float) -> list[tuple[float, int, bool, float]]:
-        """Return roads that follow, as (distance in m to its start, index, whether along its s, s at its start)."""
+        """Return the following roads: distance in m to the entry, road index, whether along s there, s of the entry."""
         current, ahead = self._roads[road], 1 if forward else -1
         candidates = [
             (abs(at - s), *self._entry_at_road_end(name, contact))
@@ -126,7 +126,7 @@ class RoadGraph:
         ]
 
     def _do_roads_touch(self, road: int, s: float, other: int, other_s: float) -> bool:
-        """Whether two roads touch at the given positions."""
+        """Return whether two roads touch at the given positions."""
         key = road, s, other, other_s
         if key not in self._touching:
             edge, other_edge = (self._edge_points(r, at) for r, at in ((road, s), (other, other_s)))

@@ -1,4 +1,4 @@
-"""Speed limits, signals and priorities: read for systems under test and for questions of fault; they move nobody."""
+"""Speed limits, signals and priorities of roads, for systems under test and questions of fault only."""
 
 from __future__ import annotations
 
@@ -21,9 +21,10 @@ SpeedLimits = tuple[tuple[float, float], ...]
 class RoadSignal(NamedTuple):
     """A sign or a light beside a road, at `s` in m.
 
-    `faces_forward` and `faces_backward`: whether it concerns traffic along s, and against it. `lanes` are intervals of
-    lane numbers that it concerns; none for all. `country` is that of the catalogue of its type, if the file names it. A
-    reference to a signal of another road has its name, but no type.
+    `faces_forward` and `faces_backward` say whether the signal concerns traffic along s, and against s. `lanes` are the
+    intervals of lane numbers that the signal concerns; empty for all lanes. `country` is the country whose catalogue
+    defines the type, if the file names the country. A reference to a signal of another road has the name of this
+    signal, but no type.
     """
 
     name: str
@@ -35,13 +36,13 @@ class RoadSignal(NamedTuple):
     country: str = ""
 
     def concerns(self, lane: int, forward: bool) -> bool:
-        """Whether it concerns traffic on a lane along s, or against it."""
+        """Return whether the signal concerns traffic on a lane, along s if `forward` and otherwise against s."""
         is_of_lane = not self.lanes or any(low <= lane <= high for low, high in self.lanes)
         return is_of_lane and (self.faces_forward if forward else self.faces_backward)
 
 
 def read_road_speed_limits(road: etree._Element) -> SpeedLimits:
-    """Return the speed limits of a road's types."""
+    """Return the speed limits along a road, from the <type> elements of the road."""
     types = find_untracked(road, "type")
     return _sort_limits(
         (_read_number(element, "s"), next(iter(find_untracked(element, "speed")), None)) for element in types
@@ -49,12 +50,12 @@ def read_road_speed_limits(road: etree._Element) -> SpeedLimits:
 
 
 def read_lane_speed_limits(lane: etree._Element) -> SpeedLimits:
-    """Return the speed limits of a lane; each start is measured from that of the lane section."""
+    """Return the speed limits of a lane; starts are measured from the start of the lane section."""
     return _sort_limits((_read_number(element, "sOffset"), element) for element in find_untracked(lane, "speed"))
 
 
 def speed_limit_at(limits: SpeedLimits, s: FloatArray) -> FloatArray:
-    """Return the limit in m/s that holds at each s, shape (N,); NaN before the first."""
+    """Return the speed limit in m/s that holds at each s, shape (N,); NaN before the first limit."""
     starts = np.array([start for start, _ in limits])
     return np.array([math.nan, *(limit for _, limit in limits)])[np.searchsorted(starts, s, "right")]
 
@@ -73,7 +74,7 @@ def _read_limit(speed: etree._Element) -> float:
 
 
 def _read_number(element: etree._Element, name: str) -> float:
-    """Return a number, NaN if it is none: what has no effect on other traffic must not refuse a file."""
+    """Return an attribute as a number; NaN if invalid, so that signs and limits never make a file unusable."""
     try:
         return float(element.attrib.get(name, math.nan))
     except ValueError:
@@ -81,7 +82,7 @@ def _read_number(element: etree._Element, name: str) -> float:
 
 
 def read_signals(road: etree._Element) -> tuple[RoadSignal, ...]:
-    """Return the signals of a road, and its references to signals of others, in the order of s."""
+    """Return the signals of a road, including references to signals of other roads, in the order of s."""
     elements = [element for tag in ("signal", "signalReference") for element in find_untracked(road, "signals", tag)]
     signals = [
         RoadSignal(
@@ -106,6 +107,6 @@ def _read_lane_interval(validity: etree._Element) -> tuple[float, float]:
 
 
 def read_junction_priorities(junction: etree._Element) -> tuple[tuple[str, str], ...]:
-    """Return pairs of roads of a junction: who is on the first has right of way over who is on the second."""
+    """Return pairs of roads of a junction: traffic on the first road has right of way over traffic on the second."""
     pairs = ((element.get("high", ""), element.get("low", "")) for element in junction.iterfind("priority"))
     return tuple((high, low) for high, low in pairs if high and low)
