@@ -11,12 +11,12 @@ from cornercase.simulators.builtin.world._world import World
 
 
 class Action:
-    """An action on an entity, in some scenarios of a batch, from its start until it has ended there.
+    """Base class of actions of a storyboard; an action acts on one entity, in some of the N scenarios of a batch.
 
-    `domains`: parts of the motion that it controls, ``"longitudinal"`` and ``"lateral"``; when it starts, it ends other
-    actions of the entity with a common domain. `memory_attributes`: names of its arrays, shape (N,),
-    in which kernels keep values from step to step. `has_own_timing`: whether it ends at a time that the file gives.
-    `table_row`: index of its row in the tables that kernels read.
+    `domains`: parts of the motion that the action controls, ``"longitudinal"`` and ``"lateral"``. When the action
+    starts, other actions of the entity with a common domain end. `memory_attributes`: names of the action's arrays,
+    shape (N,), in which kernels (compiled functions) keep values from step to step. `has_own_timing`: whether the
+    action ends at a time that the file gives. `table_row`: index of the action in the tables that kernels read.
 
     An action that does not override `step` ends immediately.
     """
@@ -27,7 +27,7 @@ class Action:
     table_row: int = -1
 
     def kernel_options(self) -> tuple[int, ...]:
-        """Return type, entity and options of the action for kernels; by default the type of one without a kernel."""
+        """Return type, entity and options of the action for compiled code; by default for an action in Python."""
         return (PYTHON_ACTION,)
 
     def start(self, world: World, where: BoolArray) -> None:
@@ -35,18 +35,18 @@ class Action:
         raise NotImplementedError
 
     def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
-        """Act for one time step in the scenarios of a mask; return where the action has ended, shape (N,)."""
+        """Act for one time step in the scenarios of a mask; return a mask of the scenarios in which it has ended."""
         return where.copy()
 
     def look_up_positions(self, world: World, where: BoolArray) -> None:
-        """Look up positions that kernels cannot look up, before the coming frame, in the scenarios of a mask."""
+        """Look up road positions for the coming frame that compiled code cannot look up, in the scenarios of a mask."""
 
     def release(self, world: World, where: BoolArray) -> None:
-        """Release the entity in the scenarios of a mask, as the action is ended early."""
+        """Let the entity move on without the action in the scenarios of a mask, because the action is ended early."""
 
 
 class CompiledAction(Action):
-    """An action whose time steps are compiled."""
+    """An action whose time steps run in compiled code."""
 
     def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
         outcomes = world.compiled.apply_action(self.table_row, dt, where)
@@ -61,9 +61,9 @@ class CompiledAction(Action):
         return np.asarray(outcomes >= ACTION_ENDED)
 
     def look_up_positions_now(self, world: World, where: BoolArray) -> None:
-        """Look up positions that kernels cannot, after earlier actions of the frame, in the scenarios of a mask."""
+        """Look up road positions in the middle of a frame, after its earlier actions, in the scenarios of a mask."""
         self.look_up_positions(world, where)
 
     def leave_track(self, world: World, where: BoolArray) -> None:
-        """Make the entity follow another track when the action ends, in the scenarios of a mask."""
+        """Make the entity follow another track (path) when the action ends, in the scenarios of a mask."""
         self.release(world, where)

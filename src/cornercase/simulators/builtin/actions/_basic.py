@@ -1,4 +1,4 @@
-"""Reading of actions, and the actions that take effect immediately."""
+"""Reader of all actions of a storyboard, and the actions that take effect immediately."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _GROUPING_TAGS: Final = (
 
 
 def read_action(element: etree._Element, scope: Scope, world: World, entity: int | None) -> Action | None:
-    """Read a ``PrivateAction`` of an entity (a row) or a ``GlobalAction``; None if the action has no effect."""
+    """Read a ``PrivateAction`` of an entity, given by index, or a ``GlobalAction``; None if it has no effect."""
     inner = find_action_element(element)
     if element.tag in WITHOUT_EFFECT:
         return None
@@ -61,7 +61,7 @@ def read_action(element: etree._Element, scope: Scope, world: World, entity: int
 
 
 def find_action_element(element: etree._Element) -> etree._Element:
-    """Return the action inside its grouping elements; the element itself if it contains none."""
+    """Return the action inside grouping elements such as ``LongitudinalAction``; `element` if there is no action."""
     inner = element.find("*")
     while inner is not None and inner.tag in _GROUPING_TAGS:
         inner = inner.find("*")
@@ -69,7 +69,7 @@ def find_action_element(element: etree._Element) -> etree._Element:
 
 
 class TeleportAction(Action):
-    """Moves an entity to a position immediately."""
+    """Action that moves an entity to a position immediately."""
 
     domains = (LONGITUDINAL, LATERAL)
 
@@ -86,7 +86,7 @@ class TeleportAction(Action):
 
 
 class AssignRouteAction(Action):
-    """Sets which roads an entity takes at junctions."""
+    """Action that sets which roads an entity takes at junctions."""
 
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
         self._entity = entity
@@ -100,7 +100,7 @@ class AssignRouteAction(Action):
 
 
 class AcquirePositionAction(Action):
-    """Makes an entity drive to a position."""
+    """Action that makes an entity drive to a position, by assigning a route to the road of this position."""
 
     domains = (LONGITUDINAL,)
 
@@ -117,7 +117,7 @@ class AcquirePositionAction(Action):
 
 
 class EntityAction(Action):
-    """Adds an entity to the traffic or removes it."""
+    """Action that adds an entity to the traffic or removes the entity."""
 
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int | None) -> None:
         self._entity = read_entity_index(element, scope, world)
@@ -126,7 +126,7 @@ class EntityAction(Action):
         if add is not None:
             self._position = read_position(require_child(add, "Position", scope), scope, world)
         elif element.find("DeleteEntityAction") is None:
-            raise scope.error_at(element, "<EntityAction> neither adds nor deletes.")
+            raise scope.error_at(element, "<EntityAction> neither adds nor deletes an entity.")
 
     def start(self, world: World, where: BoolArray) -> None:
         if self._position is None:
@@ -139,7 +139,7 @@ class EntityAction(Action):
 
 
 class SetOrModifyAction(Action):
-    """Sets or modifies a variable or, in files before 1.2, a parameter."""
+    """Action that sets or modifies a variable or, in files before OpenSCENARIO 1.2, a parameter."""
 
     def __init__(self, element: etree._Element, scope: Scope, values: dict[str, Any], name: str) -> None:
         self._name, self._values = name, values
@@ -149,7 +149,7 @@ class SetOrModifyAction(Action):
             rule = element.find("ModifyAction/Rule")
             source = None if rule is None else rule.find("*")
             if source is None or source.tag not in ("AddValue", "MultiplyByValue"):
-                raise scope.error_at(element, f"<{element.tag}> neither sets, adds nor multiplies.")
+                raise scope.error_at(element, f"<{element.tag}> neither sets a value nor adds to it nor multiplies it.")
         self._operation = np.multiply if source.tag == "MultiplyByValue" else np.add
         numeric = values[self._name].dtype.kind == "f"
         text = "" if numeric else read_text_value(source, scope, values[self._name])
@@ -178,7 +178,7 @@ def _read_variable_action(element: etree._Element, scope: Scope, world: World, e
 
 
 class TrafficSignalControllerAction(Action):
-    """Starts a phase of a traffic signal controller, which continues from there."""
+    """Action that starts a phase of a traffic signal controller, which then continues with the next phases."""
 
     def __init__(self, controller: SignalController, phase: int) -> None:
         self._controller, self._phase = controller, phase
@@ -203,7 +203,7 @@ def _read_signal_controller_action(
 
 
 class TrafficSignalStateAction(Action):
-    """Switches a traffic signal; only conditions read it."""
+    """Action that switches a traffic signal, whose state conditions and drivers read."""
 
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int | None) -> None:
         self._name, self._state = scope.read_text(element, "name"), scope.read_text(element, "state")

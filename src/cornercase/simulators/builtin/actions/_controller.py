@@ -37,10 +37,11 @@ _MAX_POINTS = 10_000
 
 
 class DriverControl:
-    """An entity of a batch, and the driver that moves it along lanes and trajectories, or steers it.
+    """Control of one entity by a driver, in all scenarios of a batch.
 
-    On a trajectory with times there is nothing to decide. `parameters` are those of `Start`. `number` is the index in
-    `World.drivers`. `in_fleet` says whether kernels make the decisions.
+    The driver moves the entity along lanes and trajectories, or steers it. On a trajectory with times there is nothing
+    to decide. `parameters` has values of the driver's parameters by name, one value per scenario. `number` is the index
+    in `World.drivers`. `in_fleet` says whether compiled code makes the driver's decisions.
     """
 
     def __init__(
@@ -65,7 +66,7 @@ class DriverControl:
 
     @property
     def limit_notices(self) -> dict[str, str]:
-        """A sentence without full stop for each limit of the vehicle that the driver exceeded."""
+        """Sentences without full stop on limits (of the vehicle or its lanes) that the driver exceeded, by limit."""
         return self.attached_driver.limit_notices
 
     def _join_fleet(self) -> None:
@@ -80,14 +81,14 @@ class DriverControl:
             built_in.start(driver, self._world.scenarios, len(self._others))
 
     def reset_driver(self) -> None:
-        """Reset the driver when the batch starts; this may be user code, which may fail."""
+        """Reset the driver when the batch starts; raises `DriverError` if a user's driver fails."""
         if self._failure is not None:
             raise self._failure
         if not self.in_fleet:
             self.attached_driver.start(self._make_start())
 
     def free_driver_resources(self) -> None:
-        """Release what the driver holds when the batch has ended."""
+        """Let the driver release its resources when the batch has ended."""
         self.attached_driver.release()
 
     def _make_start(self) -> Start:
@@ -105,7 +106,7 @@ class DriverControl:
 
     @property
     def steers(self) -> bool:
-        """Whether its vehicle steers."""
+        """Whether the entity has a vehicle model that steers."""
         return self.attached_driver.vehicle is not None and self.attached_driver.vehicle.steers
 
     def find_scenarios_in_charge(self) -> BoolArray:
@@ -114,7 +115,7 @@ class DriverControl:
         return np.asarray(world.running & world.present[e] & world.driven[e] & (world.driver[e] == self.number))
 
     def step(self, dt: float) -> None:
-        """Let the driver decide the entity's speed at the end of the coming time step."""
+        """Let the driver decide the entity's motion in the coming time step."""
         world, e = self._world, self.entity
         active = self.find_scenarios_in_charge()
         # A steered entity may follow another track afterwards.
@@ -125,7 +126,7 @@ class DriverControl:
                 self._apply(self.attached_driver.step(*self._make_situation(k, track, dt, rows)), rows)
 
     def _apply(self, decision: Decision, rows: BoolArray) -> None:
-        """Do what the driver decides in the scenarios of a mask."""
+        """Move the entity as the driver has decided, in the scenarios of a mask."""
         world, e, motion = self._world, self.entity, decision.motion
         for n, failure in decision.failures.items():
             world.fail(np.arange(world.scenarios) == n, failure)
@@ -146,7 +147,7 @@ class DriverControl:
     def _make_situation(
         self, track_number: int, track: Track, dt: float, rows: BoolArray
     ) -> tuple[Situation, PlanarMotion]:
-        """Return what the driver is given, and the motion at the start of the step."""
+        """Return the input of the driver, and the motion of the entity at the start of the time step."""
         world, e, box = self._world, self.entity, self._world.entities[self.entity]
         # A driver may store or modify its input: give it arrays of its own.
         own = np.empty((len(OWN_ROWS), world.scenarios))
@@ -204,10 +205,10 @@ class DriverControl:
 
 
 def sample_trajectory(track: Trajectory, reach: float) -> DrivenPath:
-    """Return samples of a trajectory up to `reach` m, which may differ between scenarios, as a path for drivers.
+    """Sample a trajectory up to the distance `reach` in m, and return the samples as a path for drivers.
 
-    Distances are the same in all scenarios, and extend further than a driver looks. So what the driver sees in a
-    scenario does not depend on the other scenarios.
+    The trajectory may have another shape in each scenario. The distances of the samples are the same in all scenarios,
+    and extend farther than a driver looks. So the driver's view in one scenario does not depend on other scenarios.
     """
     ends = np.minimum(track.lengths, reach)
     distances = _SAMPLE_SPACING * np.arange(int(np.ceil((ends.max() + _EXTENSION_LENGTH) / _SAMPLE_SPACING)) + 1)
@@ -226,7 +227,7 @@ def sample_trajectory(track: Trajectory, reach: float) -> DrivenPath:
 
 
 class ControllerAction(Action):
-    """Assigns a controller to an entity, or activates its controller.
+    """Action that assigns a controller to an entity, or switches the entity's controller on or off.
 
     A controller only has an effect if it has the property ``cornercase.driver``; otherwise the storyboard moves the
     entity. A driver that the user chose for the entity stays in control.
@@ -264,7 +265,7 @@ class ControllerAction(Action):
 
 
 class VisibilityAction(Action):
-    """Hides an entity from the drivers of other entities, or shows it again."""
+    """Action that hides an entity from the drivers of other entities, or shows the entity again."""
 
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
         self._entity, self._seen = entity, scope.read_boolean(element, "traffic", True)

@@ -15,7 +15,7 @@ from cornercase.simulators.builtin.world._world import World
 
 
 class FrictionAction(Action):
-    """Sets the friction of the road for the vehicle models of all entities."""
+    """Action that sets the friction of the road for the vehicle models of all entities."""
 
     def __init__(self, friction: FloatArray, location: str) -> None:
         self._friction, self._location = friction, location

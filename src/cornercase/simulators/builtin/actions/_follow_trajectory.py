@@ -1,4 +1,4 @@
-"""The action that follows a trajectory."""
+"""The action that makes an entity follow a trajectory."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _LANE_TOLERANCE: Final = 0.01
 
 
 class FollowTrajectoryAction(CompiledAction):
-    """Moves an entity along a trajectory, at its own speed or at given times."""
+    """Action that moves an entity along a trajectory, at the entity's own speed or at given times."""
 
     domains: tuple[str, ...] = (LATERAL,)
     memory_attributes = ("_sign", "_was_oriented", "_ahead", "_number")

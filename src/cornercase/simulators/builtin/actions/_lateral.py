@@ -34,7 +34,7 @@ _DISTANCE_TOLERANCE: Final = 0.01
 
 
 class LaneChangeAction(CompiledAction):
-    """Moves an entity to another lane; a part of its speed becomes lateral motion."""
+    """Action that moves an entity to another lane; a part of the entity's speed becomes lateral motion."""
 
     domains = (LATERAL,)
     memory_attributes = ("_from", "_to", "_done", "_extent")
@@ -96,7 +96,7 @@ class LaneChangeAction(CompiledAction):
 
 
 class LaneOffsetAction(CompiledAction):
-    """Moves an entity sideways within its lane; the lateral motion does not reduce its speed along the lane."""
+    """Action that moves an entity sideways within its lane, without reducing the speed along the lane."""
 
     domains = (LATERAL,)
     memory_attributes = ("_from", "_to", "_elapsed", "_duration")
@@ -139,7 +139,7 @@ class LaneOffsetAction(CompiledAction):
 
 
 class LateralDistanceAction(Action):
-    """Keeps a lateral distance to another entity."""
+    """Action that keeps a lateral distance to another entity."""
 
     domains = (LATERAL,)
 
@@ -184,7 +184,7 @@ class LateralDistanceAction(Action):
         return np.asarray(where & reached & (not self._continuous))
 
     def _lateral_speed(self, world: World, error: FloatArray, dt: float, moves: BoolArray) -> FloatArray:
-        """Return the lateral speed for the coming step in m/s, shape (N,)."""
+        """Return the lateral speed in m/s for the coming time step, one value per scenario."""
         fastest = np.maximum(np.minimum(self._max_speed, np.abs(world.speed[self._entity])) - 1e-6, 0.0)
         springy = np.isfinite(self._max_acceleration)
         stiffness = 0.4 * np.where(springy, self._max_acceleration, 0.0)

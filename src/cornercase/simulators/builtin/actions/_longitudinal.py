@@ -28,7 +28,7 @@ _UNLIMITED: Final = 1e10
 
 
 class SpeedAction(CompiledAction):
-    """Brings an entity to a speed; if a driver controls the entity, sets the driver's target speed instead."""
+    """Action that brings an entity to a speed, or that sets the target speed of the driver who controls the entity."""
 
     domains = (LONGITUDINAL,)
     memory_attributes = ("_from", "_to", "_parameter", "_span", "_stretch", "_reached", "_value", "_rate")
@@ -74,9 +74,9 @@ class SpeedAction(CompiledAction):
 
 
 class LongitudinalDistanceAction(CompiledAction):
-    """Keeps a distance or a time gap to another entity, like a critically damped spring.
+    """Action that keeps a distance or a time gap to another entity, like a critically damped spring.
 
-    Limits that are not set are those of the vehicle. Without dynamic constraints, the entity jumps to its position.
+    Limits that are not set are taken from the vehicle. Without dynamic constraints, the entity jumps to its position.
     """
 
     domains = (LONGITUDINAL,)
@@ -142,7 +142,7 @@ class LongitudinalDistanceAction(CompiledAction):
             self._located[where] = self._signed_distance(world)[where]
 
     def _signed_distance(self, world: World) -> FloatArray:
-        """Return the distance to the other entity, negative if it is behind, shape (N,)."""
+        """Return the distance to the other entity in m for each scenario, negative if the other entity is behind."""
         if self._on_roads:
             other_pose = road_pose(world, self._other)
             along_roads = distance_along_roads(world, self._entity, other_pose)
@@ -157,7 +157,7 @@ class LongitudinalDistanceAction(CompiledAction):
 def _read_limit(
     limits: etree._Element | None, name: str, vehicle_limit: float, default: float, scope: Scope
 ) -> FloatArray:
-    """Read a limit, shape (N,); the vehicle's if it is missing or too large, and a usual value if it is 0."""
+    """Read a limit for each scenario, at most `vehicle_limit`, the value if none is given; 0 means `default`."""
     vehicle_limit = min(vehicle_limit, _UNLIMITED)
     limit = (
         np.full(scope.n_scenarios, vehicle_limit) if limits is None else scope.read_numbers(limits, name, vehicle_limit)
@@ -176,7 +176,7 @@ def require_child(element: etree._Element, tag: str, scope: Scope) -> etree._Ele
 def read_target(
     element: etree._Element, tag: str, quantity: str, scope: Scope, world: World
 ) -> tuple[etree._Element, int | None]:
-    """Return the target of an action, and the row of the entity that it is relative to; None if it is absolute."""
+    """Return the target of an action, and the index of the entity to which a relative target refers, else None."""
     holder = require_child(element, tag, scope)
     if (absolute := holder.find(f"Absolute{quantity}")) is not None:
         return absolute, None

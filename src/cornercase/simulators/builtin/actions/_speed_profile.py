@@ -23,7 +23,7 @@ _MAX_DELAY: Final = 10.0
 
 
 class ProfileLimits(NamedTuple):
-    """Largest speed, and largest rates of acceleration and jerk upwards and downwards, none negative, (N,) each."""
+    """Limits of a speed profile in m/s, m/s² and m/s³: one value of at least 0 per scenario."""
 
     max_speed: FloatArray
     max_acceleration: FloatArray
@@ -33,7 +33,7 @@ class ProfileLimits(NamedTuple):
 
 
 class ProfilePhase(NamedTuple):
-    """State at the start of a phase of a speed profile: time, speed, acceleration and jerk, shape (N,) each."""
+    """Phase of constant jerk in a speed profile; the values, one per scenario, apply to the start of the phase."""
 
     time: FloatArray
     speed: FloatArray
@@ -42,12 +42,11 @@ class ProfilePhase(NamedTuple):
 
 
 class SpeedProfileAction(Action):
-    """Brings an entity to given speeds at given times.
+    """Action that brings an entity to given speeds at given times.
 
     With the following mode ``position``, the acceleration between two times is constant. With ``follow``, the
     acceleration changes with the allowed jerk, so speeds in between are only approached. If the limits do not permit
-    that, the rest of the profile is run as with ``position``. If the action runs again, the whole profile is run like
-    that.
+    that, the rest of the profile is run as with ``position``, and so is the whole profile if the action runs again.
     """
 
     domains = (LONGITUDINAL,)
@@ -133,7 +132,7 @@ class SpeedProfileAction(Action):
 
 
 def _speed_at(profile: list[ProfilePhase], time: FloatArray) -> tuple[FloatArray, IntArray]:
-    """Return the speed at a time, and the number of phases that have ended by then, shape (N,) each."""
+    """Return the speed at a time in each scenario, and the number of phases that have ended by this time."""
     speed = profile[0].speed
     passed, reached = np.zeros(speed.shape, dtype=np.int64), np.ones(speed.shape, dtype=np.bool_)
     for number, phase in enumerate(profile):
@@ -150,7 +149,7 @@ def _signed_jerk(change: FloatArray, limits: ProfileLimits) -> FloatArray:
 
 
 def _is_within_limits(phase: ProfilePhase, limits: ProfileLimits) -> BoolArray:
-    """Return whether speed and acceleration at the start of a phase are within the limits, shape (N,)."""
+    """Return whether speed and acceleration at the start of a phase are within the limits, for each scenario."""
     slow = np.abs(phase.speed) <= limits.max_speed + _TINY
     return np.asarray(
         slow
@@ -160,7 +159,7 @@ def _is_within_limits(phase: ProfilePhase, limits: ProfileLimits) -> BoolArray:
 
 
 def _select_phase(where: BoolArray, inside: ProfilePhase, outside: ProfilePhase) -> ProfilePhase:
-    """Return a phase with the values of `inside` in the scenarios of a mask, and those of `outside` in the others."""
+    """Return a phase with the values of `inside` in the scenarios of a mask, and of `outside` in other scenarios."""
     return ProfilePhase(*(np.where(where, a, b) for a, b in zip(inside, outside, strict=True)))
 
 
@@ -169,9 +168,9 @@ def _smooth_corners(
 ) -> tuple[list[ProfilePhase], BoolArray]:
     """Replace each corner between phases of constant acceleration by an arc of constant jerk.
 
-    An arc is tangent to the phases before and after. `acceleration` (N,) is the initial acceleration in m/s². If an arc
-    would begin before the previous one ends, or exceeds a limit, the corners from there on are kept. Returns the
-    phases, and where all of them are smooth, shape (N,).
+    An arc is tangent to the phases before and after. `acceleration` has the initial acceleration in m/s² for each
+    scenario. If an arc would begin before the previous arc ends, or exceeds a limit, this corner and all later corners
+    stay. Returns the phases, and a mask of the scenarios in which all corners are replaced.
     """
     first, zeros = lines[0], np.zeros_like(acceleration)
     jerk = _signed_jerk(first.acceleration - acceleration, limits)
@@ -216,8 +215,8 @@ def _plan_single_target(
 ) -> tuple[list[ProfilePhase], BoolArray]:
     """Plan phases that reach one speed at a given time, or as early as possible, and end with acceleration 0.
 
-    `line` is the phase of constant acceleration to the target `end`. `acceleration` (N,) is the initial acceleration in
-    m/s². Returns the phases, and where all of them are within the limits, shape (N,).
+    `line` is the phase of constant acceleration to the target `end`. `acceleration` has the initial acceleration in
+    m/s² for each scenario. Returns the phases, and a mask of the scenarios in which all phases are within the limits.
     """
     j0 = _signed_jerk(line.acceleration - acceleration, limits)
     j1 = np.where(line.acceleration < 0, limits.jerk_up, -limits.jerk_down)

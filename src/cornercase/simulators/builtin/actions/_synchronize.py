@@ -1,4 +1,4 @@
-"""The action that makes an entity arrive at its target when a master arrives at its own."""
+"""The action that makes an entity arrive at a target when another entity, the master, arrives at a second target."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from cornercase.simulators.builtin.world._world import LONGITUDINAL, World
 
 
 class SynchronizeAction(CompiledAction):
-    """Controls an entity's speed so that it reaches its target when the master entity reaches its own target.
+    """Action that makes an entity reach a target when another entity, the master, reaches a second target.
 
     Without a final speed, the acceleration is constant. With a final speed, two phases of constant acceleration end at
-    the target with that speed; the entity stops in between rather than driving backwards. With a steady state, it has
-    the final speed already a distance or a time before the target.
+    the target with that speed; the entity stops in between rather than driving backwards. With a steady state, the
+    entity has the final speed already at a given distance or time before the target.
     """
 
     domains = (LONGITUDINAL,)

@@ -17,7 +17,7 @@ from cornercase.simulators.builtin.world._world import World
 
 
 class ConnectTrailerAction(Action):
-    """Connects a trailer to a vehicle, and disconnects the one that it pulls."""
+    """Action that connects a trailer to a vehicle, and first disconnects the trailer that the vehicle pulls."""
 
     def __init__(self, vehicle: int, trailer: int) -> None:
         self._vehicle, self._trailer = vehicle, trailer
@@ -29,7 +29,7 @@ class ConnectTrailerAction(Action):
 
 
 class DisconnectTrailerAction(Action):
-    """Disconnects the trailer of a vehicle; the trailer then rolls on along its lane."""
+    """Action that disconnects the trailer of a vehicle; the trailer then rolls on along its lane."""
 
     def __init__(self, vehicle: int) -> None:
         self._vehicle = vehicle
@@ -39,7 +39,7 @@ class DisconnectTrailerAction(Action):
 
 
 def read_trailer_action(element: etree._Element, scope: Scope, world: World, entity: int) -> Action | None:
-    """Read a ``TrailerAction`` of a vehicle (a row); None if the vehicle has no hitch or the trailer no coupler."""
+    """Read a ``TrailerAction`` of a vehicle, given by index; None if the action, a hitch or a coupler is missing."""
     connects, leaves = element.find("ConnectTrailerAction"), element.find("DisconnectTrailerAction")
     if leaves is not None:
         return DisconnectTrailerAction(entity)

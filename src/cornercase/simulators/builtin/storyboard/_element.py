@@ -23,10 +23,11 @@ _TRANSITIONS: Final = {"startTransition": START, "endTransition": END, "stopTran
 
 
 class StateWatcher:
-    """The state or transition of an element for which a condition waits.
+    """Condition that waits for a state or a transition of a storyboard element.
 
-    `state` is its name, such as ``"runningState"``; `location` starts error messages. The next evaluation sees a
-    transition once, however late it is. As in esmini, a transition that is cleared before is never seen.
+    `state` names the state or transition, such as ``"runningState"``; `location` starts error messages. A transition is
+    remembered until the next evaluation, which may be late. As in esmini, a transition that is cleared before is never
+    seen.
     """
 
     def __init__(self, state: str, scenarios: int, location: str) -> None:
@@ -41,7 +42,7 @@ class StateWatcher:
         self._has_changed, self._was_matched = (np.zeros(scenarios, dtype=np.bool_) for _ in range(2))
 
     def __call__(self, world: World, where: BoolArray) -> BoolArray:
-        """Return where the awaited state holds, or the awaited transition has occurred since the last call, (N,)."""
+        """Return the scenarios in which the state holds, or the transition has occurred since the last call."""
         result = (
             self._was_matched
             if self._state is None
@@ -65,12 +66,12 @@ class StateWatcher:
 
 
 class Element:
-    """An element of the storyboard, with a state in each scenario, ndarray of int8 (N,).
+    """An element of the storyboard; `state` has its state in each scenario, such as `RUNNING`.
 
-    A change of state takes effect immediately: elements that come later in the file see it in the same frame, all
-    others in the next. `kind` is a ``storyboardElementType``. Without a start trigger, the element starts as soon as it
-    can. `times` is the number of executions until the element is complete; None means that it is complete when it has
-    ended.
+    A change of state takes effect immediately: elements that come later in the file see the change in the same frame,
+    all other elements in the next frame. `kind` is a ``storyboardElementType``. Without a start trigger, the element
+    starts as soon as possible. The element is complete after `max_executions` executions; None means that it is
+    complete as soon as it ends.
     """
 
     def __init__(
@@ -93,7 +94,7 @@ class Element:
             child._parent = self
 
     def add_watcher(self, watcher: StateWatcher) -> None:
-        """Report all changes of state to a condition from now on."""
+        """Report all further changes of the element's state to a condition, the watcher."""
         self._watches.append(watcher)
 
     def iter_triggers(self) -> Iterator[tuple[Trigger, int]]:

@@ -36,7 +36,7 @@ from cornercase.simulators.builtin.world._road_position import (
 from cornercase.simulators.builtin.world._world import World
 
 EntityTest = Callable[[World, int], BoolArray] | tuple[LeafCondition, ...]
-"""A function of the state and an entity's row that returns an array (N,), or leaves any of which has to hold."""
+"""A function of the world and an entity's index that returns a mask, or conditions for compiled code, joined by or."""
 
 ConditionReader = Callable[[etree._Element, Scope, World], EntityTest]
 
@@ -66,7 +66,7 @@ def read_comparison_rule(
 
 
 def comparison_rule_index(rule: Callable[[Any, Any], Any]) -> int:
-    """Return the number of a comparison rule in kernels."""
+    """Return the index by which compiled code selects a comparison rule."""
     return list(_RULES.values()).index(rule)
 
 
@@ -78,7 +78,7 @@ _COMPONENTS: Final = {
 
 
 def _number_reader(kind: int, attribute: str) -> ConditionReader:
-    """Return the reader of a condition on a property of the entity that has to exceed a number."""
+    """Return a function that reads a condition: a property of the entity exceeds the number in `attribute`."""
     return lambda element, scope, world: (LeafCondition(kind, values=(scope.read_numbers(element, attribute),)),)
 
 
@@ -102,7 +102,7 @@ def _reach_position_condition(element: etree._Element, scope: Scope, world: Worl
 
 
 def _velocity_reader(kind: int) -> ConditionReader:
-    """Return the reader of a condition on a component of a velocity or an acceleration."""
+    """Return a function that reads a condition on a component of a velocity or an acceleration."""
 
     def read(element: etree._Element, scope: Scope, world: World) -> EntityTest:
         other = read_entity_index(element, scope, world) if kind == conditions.RELATIVE_SPEED_CONDITION else -1
@@ -132,11 +132,11 @@ Comparison = Callable[[FloatArray], Any]
 """Compares numbers with the value in the file, by the rule in the file."""
 
 GapTest = Callable[[World, int, int, FloatArray, Comparison], Any]
-"""Decides by the state, the rows of both entities, and the distance between them in m, shape (N,)."""
+"""Decides by the world, the indices of two entities, their distance in m in each scenario, and a comparison."""
 
 
 def _read_gap_condition(kind: int, holds: GapTest, element: etree._Element, other: int, scope: Scope) -> EntityTest:
-    """Read a condition on the distance to an entity; `holds` decides if kernels cannot measure it."""
+    """Read a condition on the distance to the entity `other`; `holds` is used if compiled code cannot measure it."""
     gap, rule = read_distance_measure(element, scope), read_comparison_rule(element, scope)
     value, kernel_kind = scope.read_numbers(element, "value"), gap.kernel_kind(to_entity=True)
     if kernel_kind is not None:
@@ -150,7 +150,7 @@ def _read_gap_condition(kind: int, holds: GapTest, element: etree._Element, othe
 
 
 def _gap_reader(kind: int, holds: GapTest) -> ConditionReader:
-    """Return the reader of a condition on the distance to the entity that its element names."""
+    """Return a function that reads a condition on the distance to the entity that its XML element names."""
     return lambda element, scope, world: _read_gap_condition(
         kind, holds, element, read_entity_index(element, scope, world), scope
     )

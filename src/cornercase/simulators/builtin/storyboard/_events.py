@@ -15,10 +15,11 @@ from cornercase.simulators.builtin.world._world import World
 
 
 class ActionElement(Element):
-    """An action of an event for a single actor; it has no effect if `action` is None.
+    """Element of the storyboard for one action of one actor; without effect if `action` is None.
 
-    `entity_actions` lists all actions of the same entity; this one is added. `takes_part` returns the scenarios in
-    which the actor takes part, and is called when the action starts. `location` is line, element and name, for errors.
+    The element adds itself to `entity_actions`, the list of all actions of the same entity. `takes_part` is called when
+    the action starts, and returns the scenarios in which the actor takes part. `location` says line, element and name
+    in error messages.
     """
 
     def __init__(
@@ -71,7 +72,7 @@ class ActionElement(Element):
             self._end_without_release(is_done)
 
     def look_up_positions(self, where: BoolArray) -> None:
-        """Look up positions that kernels cannot look up, before the action acts, in the scenarios of a mask."""
+        """Look up road positions for the action that compiled code cannot look up, in the scenarios of a mask."""
         where = where & (self.state == RUNNING)
         if self.action is not None and any_true(where):
             self._world.current_action = self._location
@@ -98,8 +99,8 @@ class ActionElement(Element):
 class Event(Element):
     """An event, which starts its actions when its trigger fires; without a trigger it starts immediately.
 
-    `times` is the number of executions. With the `priority` ``"overwrite"``, the event ends the other events of its
-    maneuver; with ``"skip"``, it does not start while one of them runs.
+    The event is complete after `max_executions` executions. With the `priority` ``"overwrite"``, the event ends the
+    other events of its maneuver; with ``"skip"``, the event does not start while another event of the maneuver runs.
     """
 
     def __init__(
@@ -116,7 +117,7 @@ class Event(Element):
         self._priority = priority
 
     def evaluate_triggers(self, world: World, where: BoolArray) -> None:
-        """Start the event where its maneuver runs and its trigger fires."""
+        """Start the event in those scenarios of a mask in which it waits and its trigger fires."""
         waiting = where & (self.state == STANDBY)
         if any_true(waiting):
             fired = waiting if self.start_trigger is None else self.start_trigger.fires(world, waiting)
@@ -124,7 +125,7 @@ class Event(Element):
             self._start_actions(fired)
 
     def start(self, where: BoolArray) -> None:
-        """Make the event ready to fire when its maneuver starts."""
+        """Make the event wait for its trigger, in scenarios in which its maneuver starts."""
         self.set_state(where & (self.state == INIT), STANDBY, NOTHING)
 
     def step(self, dt: float, where: BoolArray) -> None:
@@ -172,7 +173,7 @@ class ElementGroup(Element):
         self._parts = children
 
     def evaluate_triggers(self, world: World, where: BoolArray) -> None:
-        """Evaluate the triggers of the group and its descendants, in scenarios where its parent runs."""
+        """Evaluate the triggers of the group and its descendants, in the scenarios of a mask."""
         if self._stop is not None:
             self.stop(self._stop.fires(world, where & (self.state == RUNNING)))
         waiting = where & (self.state == STANDBY)
@@ -186,7 +187,7 @@ class ElementGroup(Element):
                 child.evaluate_triggers(world, running)
 
     def start(self, where: BoolArray) -> None:
-        """Start together with the parent, or wait for the start trigger."""
+        """Start the group together with its parent, or make the group wait for its start trigger."""
         new = where & (self.state == INIT)
         if self.start_trigger is not None:
             self.set_state(new, STANDBY, NOTHING)
@@ -200,7 +201,7 @@ class ElementGroup(Element):
                 child.step(dt, where)
 
     def has_pending_stop(self, world: World) -> BoolArray:
-        """Return where the group runs and its stop trigger does not fire now, but can fire later, shape (N,)."""
+        """Return the scenarios in which the group runs and its stop trigger does not fire now, but can fire later."""
         if self._stop is None:
             return np.zeros(world.scenarios, dtype=np.bool_)
         running = self.state == RUNNING

@@ -83,7 +83,7 @@ class Storyboard:
         self._action_rows = [rows[action] for action in self.actions]
 
     def find_waiting_triggers(self) -> BoolArray:
-        """Return where each trigger can fire in the next frame, shape (T, N)."""
+        """Return which triggers can fire in the next frame, boolean array (number of triggers, number of scenarios)."""
         return np.concatenate(
             [
                 np.ones((1, self._world.scenarios), dtype=np.bool_),
@@ -92,19 +92,19 @@ class Storyboard:
         )
 
     def find_running_actions(self) -> BoolArray:
-        """Return where each of the `actions` runs, shape (J, N)."""
+        """Return which actions run, boolean array (number of actions, number of scenarios)."""
         return np.asarray(self._states[self._action_rows] == RUNNING)
 
     def waits_without_trigger(self) -> BoolArray:
-        """Return where an element without a start trigger will start in the next frame, shape (N,)."""
+        """Return the scenarios in which an element without start trigger waits, or the storyboard has stopped."""
         return np.asarray(self._stopped | (self._states[self._untriggered_rows] == STANDBY).any(axis=0))
 
     def watch_element(self, kind: str, name: str, watch: StateWatcher, location: str) -> None:
-        """Connect a condition to the element with a type and name, as soon as all elements are read."""
+        """Note that a condition waits for the element with a type and name; connected once all elements are read."""
         self._watches.append((kind, name, watch, location))
 
     def find_element(self, kind: str, name: str) -> Element | None:
-        """Return the element with a type and name; the name may include those of parents, as in ``Act::Group``."""
+        """Return the element with a type and name; the name may include the names of parents, as in ``Act::Group``."""
         path = tuple(name.split("::"))
         for element, parents in self._elements.get((kind, path[-1]), ()):
             # A name need not include all parents.
@@ -137,7 +137,7 @@ class Storyboard:
             story.evaluate_triggers(world, world.running & self._is_active)
 
     def would_continue(self) -> BoolArray:
-        """Return where, after all elements, a stop trigger may fire or a trajectory with times go on, shape (N,)."""
+        """Return the scenarios that could go on after the run: a stop trigger may fire, or a timed action runs."""
         all_scenarios = np.ones(self._world.scenarios, dtype=np.bool_)
         result = self._stop.may_fire(self._world)
         for act in (act for story in self.stories for act in story.children if isinstance(act, ElementGroup)):
@@ -149,12 +149,12 @@ class Storyboard:
         return result & ~self._stopped & ~self._stop.fires(self._world, all_scenarios)
 
     def look_up_positions(self, where: BoolArray) -> None:
-        """Look up positions that kernels cannot look up, before the actions act, in the scenarios of a mask."""
+        """Look up road positions for all actions that compiled code cannot look up, in the scenarios of a mask."""
         for action in self.actions:
             action.look_up_positions(where)
 
     def end_instantaneous_actions(self) -> None:
-        """End all actions that are done when they start; this has no influence on later actions."""
+        """End all running actions that take effect when they start; this has no influence on other actions."""
         for action in self._momentary:
             action.step(0.0, self._world.running)
 
@@ -287,7 +287,7 @@ class Storyboard:
 
 
 def _sort_init_actions(actions: list[etree._Element], scope: Scope) -> list[etree._Element]:
-    """Sort the initial actions, so that an entity is placed before others that are placed relative to it."""
+    """Sort the initial actions, so that an entity is placed before other entities are placed relative to it."""
     remaining = [_InitAction.from_element(element, scope) for element in actions]
     ordered: list[etree._Element] = []
     while remaining:
@@ -307,7 +307,7 @@ def _sort_init_actions(actions: list[etree._Element], scope: Scope) -> list[etre
 
 @dataclass(frozen=True, eq=False)
 class _InitAction:
-    """An initial action: its entity, the entities it refers to, and whether it adds or places the entity."""
+    """An initial action with its entity, the entities to which it refers, and whether it adds or places its entity."""
 
     element: etree._Element
     entity: str

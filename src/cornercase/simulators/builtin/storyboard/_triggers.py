@@ -52,11 +52,11 @@ _TEXT_RULES: Final[dict[str, Callable[[Any, Any], Any]]] = {
 
 
 class Condition:
-    """A condition with its edge, and its delay in s, shape (N,).
+    """A condition of a trigger, with its edge and with its delay in s in each scenario.
 
-    `test` takes the world and a mask of scenarios, and returns a boolean array (N,). `edge` is ``"none"``,
-    ``"rising"``, ``"falling"`` or ``"risingOrFalling"``. With a delay, the condition has the value that it had before
-    the delay.
+    `test` takes the world and a mask of scenarios, and returns whether the condition holds in each scenario. `edge` is
+    ``"none"``, ``"rising"``, ``"falling"`` or ``"risingOrFalling"``. With a delay, the condition takes its value from
+    `delay` s earlier.
     """
 
     def __init__(self, test: Test, edge: str, delay: FloatArray) -> None:
@@ -86,7 +86,7 @@ class Condition:
 
     @property
     def kernel_spec(self) -> ConditionSpec | None:
-        """Return the form of the condition that kernels can evaluate; None if they cannot."""
+        """Return the form of the condition that compiled code evaluates; None if it can only be evaluated in Python."""
         test, plain = self.test, self._edge == "none" and self.delay_buffer is None
         if isinstance(test, EntityCondition):
             return None if test.leaves is None else ConditionSpec(test.leaves, test.requires_all, plain)
@@ -95,18 +95,18 @@ class Condition:
         return ConditionSpec([], True, False) if isinstance(test, StateWatcher) else None
 
     def use_leaf_values(self, leaf_values: BoolArray) -> None:
-        """Use the values of the leaves that kernels evaluate, from a view of shape (N, L)."""
+        """Read the condition's value from an array (scenarios, leaf conditions) that compiled code keeps up to date."""
         if isinstance(self.test, EntityCondition | ValueCondition):
             self.test.leaf_values = leaf_values
 
     def constant_value(self, world: World) -> BoolArray | None:
-        """Return the value (N,) if only the storyboard or a signal controller can change it; else None."""
+        """Return the value in each scenario if only the storyboard or a signal controller can change it; else None."""
         test = self.test
         return test.value(world) if isinstance(test, ValueCondition) and test.value is not None else None
 
     @property
     def changes_by_itself(self) -> bool:
-        """Whether a signal controller can change the value."""
+        """Whether a traffic signal controller can change the condition's value."""
         return isinstance(self.test, ValueCondition) and self.test.changes_by_itself
 
     def reset_edge(self, where: BoolArray) -> None:
@@ -121,9 +121,10 @@ class Condition:
 
 
 class DelayBuffer:
-    """Earlier values of a condition, for a `delay` in s, shape (N,).
+    """Buffer of earlier values of a condition, which delays them by `delay` s, one delay per scenario.
 
-    `is_sudden`: whether the value may be different in the next frame although its inputs have not changed.
+    `is_sudden`: whether the value can change from one frame to the next although the condition's inputs have not
+    changed, such as after an edge.
     """
 
     def __init__(self, delay: FloatArray, is_sudden: bool) -> None:
@@ -133,7 +134,7 @@ class DelayBuffer:
         self._newest_value, self._current_value = (np.full(len(delay), -1, dtype=np.int8) for _ in range(2))
 
     def delayed_value(self, world: World, value: BoolArray, where: BoolArray) -> BoolArray:
-        """Store the present value; return the delayed one, shape (N,), true if any that has become due is true."""
+        """Store the present values and return the delayed values; of several values that become due, True wins."""
         new, time = where & (self._newest_value != value), world.time
         self._newest_value[new] = value[new]
         if self._sudden:
@@ -158,7 +159,7 @@ class DelayBuffer:
         return np.where(is_due, result, self._current_value == 1)
 
     def oldest_pending_time(self) -> FloatArray:
-        """Return the time in s of the oldest change that is not yet due, shape (N,); infinite if there is none."""
+        """Return the time in s of the oldest change that is not yet due, in each scenario; infinite if none."""
         result = np.full(len(self.delay), np.inf)
         for then, _, changed in self._frames:
             result = np.where(changed, np.minimum(result, then), result)
@@ -171,18 +172,18 @@ class DelayBuffer:
 
 
 class Trigger:
-    """Groups of conditions; it fires when all conditions of a group hold. Without groups it never fires."""
+    """A trigger, which fires when all conditions of one of its groups hold; without groups it never fires."""
 
     def __init__(self, groups: list[list[Condition]]) -> None:
         self.groups = groups
 
     @property
     def entities(self) -> list[int]:
-        """Return the rows of the entities that may trigger it, in order."""
+        """Return the indices of the entities that may make the trigger fire, in the order of the conditions."""
         return list(dict.fromkeys(entity for test in self._entity_conditions() for entity in test.entities))
 
     def is_triggered_by(self, entity: int) -> BoolArray:
-        """Return the scenarios in which a condition was true for an entity at the last evaluation, shape (N,)."""
+        """Return the scenarios in which a condition of the trigger was true for an entity at the last evaluation."""
         return np.asarray(
             np.any(
                 [test.last_result_for(entity) for test in self._entity_conditions() if entity in test.entities], axis=0
@@ -194,7 +195,7 @@ class Trigger:
         return [test for test in tests if isinstance(test, EntityCondition)]
 
     def fires(self, world: World, where: BoolArray) -> BoolArray:
-        """Return the scenarios of a mask in which the trigger fires, shape (N,)."""
+        """Return the scenarios of a mask in which the trigger fires now, as a mask."""
         fired = np.zeros(len(where), dtype=np.bool_)
         if not any_true(where):
             return fired
@@ -212,7 +213,7 @@ class Trigger:
         return fired
 
     def may_fire(self, world: World) -> BoolArray:
-        """Return the scenarios in which at least one group is not prevented by a constant condition, shape (N,)."""
+        """Return the scenarios in which the trigger can fire later: a group has no condition that stays false."""
         result = np.zeros(world.scenarios, dtype=np.bool_)
         for group in self.groups:
             constants = [condition.constant_value(world) for condition in group if not condition.changes_by_itself]
@@ -220,14 +221,14 @@ class Trigger:
         return result
 
     def reset(self, where: BoolArray) -> None:
-        """Restart delays in the scenarios of the mask."""
+        """Restart the delays of all conditions, in the scenarios of a mask."""
         for group in self.groups:
             for condition in group:
                 condition.reset_delay(where)
 
 
 def read_trigger(element: etree._Element | None, scope: Scope, world: World, storyboard: Storyboard) -> Trigger:
-    """Read a ``StartTrigger`` or ``StopTrigger``; a missing one never fires."""
+    """Read a ``StartTrigger`` or ``StopTrigger``; if `element` is None, the trigger never fires."""
     groups: list[list[Condition]] = []
     for group in () if element is None else element.iterfind("ConditionGroup"):
         conditions = []
@@ -271,7 +272,7 @@ def _read_condition_test(condition: etree._Element, scope: Scope, world: World, 
 class EntityCondition:
     """A condition on entities, true if it holds for any (or for all) of the triggering entities.
 
-    `leaf_values` (N, L) are the values of its leaves, which kernels have evaluated.
+    Compiled code may evaluate the condition in parts, the leaves; `leaf_values` (scenarios, leaves) has the results.
     """
 
     def __init__(self, entities: list[int], requires_all: bool, test: EntityTest) -> None:
@@ -283,7 +284,7 @@ class EntityCondition:
 
     @property
     def leaves(self) -> list[tuple[int, LeafCondition]] | None:
-        """Return the leaves to evaluate for each entity; None if kernels cannot evaluate the condition."""
+        """Return the conditions that compiled code evaluates, each with its entity; None if Python must evaluate it."""
         return [(e, leaf) for e in self.entities for leaf in self._test] if isinstance(self._test, tuple) else None
 
     def __call__(self, world: World, where: BoolArray) -> BoolArray:
@@ -298,15 +299,16 @@ class EntityCondition:
         return np.asarray(results.all(axis=0) if self.requires_all else results.any(axis=0))
 
     def last_result_for(self, entity: int) -> BoolArray:
-        """Return the scenarios in which the condition was true for an entity at the last evaluation, shape (N,)."""
+        """Return the scenarios in which the condition was true for an entity at the last evaluation, as a mask."""
         return np.asarray(self._last_results[self.entities.index(entity)])
 
 
 class ValueCondition:
     """A condition on the time, or on a value that only the storyboard or a signal controller changes.
 
-    `value` returns an array (N,). It is None for a condition on the time, which kernels evaluate into `leaf_values` (N,
-    1). `changes_by_itself`: whether a signal controller can change the value.
+    `value` is a function that returns the value in each scenario. For a condition on the time, `value` is None, and
+    compiled code evaluates `leaf` into `leaf_values`, shape (scenarios, 1). `changes_by_itself`: whether a signal
+    controller can change the value.
     """
 
     def __init__(
@@ -380,7 +382,7 @@ def _variable_condition(element: etree._Element, scope: Scope, world: World, sto
 
 
 def _parse_numbers(texts: Iterable[str]) -> FloatArray:
-    """Parse texts as numbers, NaN if not a number."""
+    """Parse texts as numbers; a text that is not a number gives NaN."""
 
     def number(text: str) -> float:
         try:
