@@ -41,12 +41,13 @@ _MAX_ENTITIES: Final = 500
 class Batch:
     """Concrete scenarios of one file that run together, since they have the same storyboard.
 
-    `seeds` are those of the runs. `drivers` maps entities to drivers, and overrides the controllers in the file.
-    `coupling` is another simulator that moves some of the entities. Raises `UnusableValuesError` if the file cannot be
-    used with these parameter values, and `BatchSplitError` if the scenarios must be split into smaller batches.
+    `values` and `seeds` have one entry per scenario. `drivers` maps entities to drivers, and overrides the controllers
+    in the file. `coupling` is another simulator that moves some of the entities. Raises `UnusableValuesError` if the
+    file cannot be used with these parameter values, and `BatchSplitError` if the scenarios must be split into smaller
+    batches.
 
-    `failure` is the error of a driver that ended the run early. In a batch of one scenario, it is the result. In a
-    larger batch, the scenario at fault is unknown, and no result can be used.
+    `failure` is the error of a driver that ended the run early. In a batch of one scenario, `failure` is the result. In
+    a larger batch, the scenario at fault is unknown, and no result can be used.
     """
 
     def __init__(
@@ -134,7 +135,7 @@ class Batch:
             self._world.fail(mask, message)
 
     def _read_parameters(self, entity: str, driver: Driver) -> dict[str, FloatArray]:
-        """Return the parameters of an entity's driver, and let scenarios fail whose values it does not take."""
+        """Return the parameters of an entity's driver by name; values that the driver refuses fail their scenario."""
         names, values = self._parameters.get(entity, ({}, []))
         parameters, problems = read_parameters(entity, driver, values)
         shared = {name for name in parameters if is_same_in_batch(driver, find_parameter(entity, driver, name)[0])}
@@ -155,7 +156,7 @@ class Batch:
 
     @property
     def remarks(self) -> list[str]:
-        """Return, after the run, sentences about limits that drivers exceeded, and about deviations from the file."""
+        """Sentences, after the run, about limits that drivers exceeded, and about deviations from the scenario file."""
         if self.failure is not None and self._world.scenarios > 1:
             return []
         # Actions name their line, and their file only if it is not the scenario file.
@@ -163,7 +164,7 @@ class Batch:
         return [*remarks, *(text for remark in self._driver_actions for text in remark.limit_notices.values())]
 
     def run(self, n_threads: int = 1, gil_lock: Lock | None = None) -> None:
-        """Run until every scenario has ended or a driver fails; `gil_lock` is released in compiled code."""
+        """Run until every scenario has ended or a driver fails; compiled code runs without the `gil_lock`."""
         # Failed scenarios are still computed, but their results are not used.
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             try:
@@ -231,7 +232,7 @@ class Batch:
 
     @cached_property
     def _is_cut_off(self) -> BoolArray:
-        """Return which scenarios reached the maximum duration before the end of their storyboard, shape (N,)."""
+        """Return which scenarios reached the maximum duration before the end of their storyboard, as a mask."""
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             return np.asarray(
                 (self._stepper.scene.n_frames == self._stepper.max_frames) & self._storyboard.would_continue()
@@ -253,9 +254,10 @@ class Batch:
 def split_off_driver_parameters(
     scenario: ScenarioFile, values: Sequence[Mapping[str, Value]]
 ) -> tuple[dict[str, tuple[dict[str, str], list[dict[str, Value]]]], Sequence[Mapping[str, Value]]]:
-    """Return the values of drivers and those of the file's parameters.
+    """Split parameter values into values of drivers, such as ``Ego.reaction``, and values of the file's parameters.
 
-    The first are by entity: full names by name without the entity, and values by the latter, by scenario.
+    The first part has for each entity a dict from short to full names, such as ``{"reaction": "Ego.reaction"}``, and
+    the values by short name in each scenario. Raises `BatchSplitError` if only some scenarios have a driver parameter.
     """
     parameters = scenario.driver_parameters({name for of_scenario in values for name in of_scenario})
     if partly_given := {name for name in parameters if not all(name in of_scenario for of_scenario in values)}:
@@ -281,7 +283,7 @@ def _to_parameter_array(value: Any, n_scenarios: int) -> Any:
 
 
 def _read_entity_selections(root: etree._Element, world: World, scope: Scope) -> dict[str, list[int]]:
-    """Return the rows of the members of each entity selection: entities by name, or all entities of a type."""
+    """Return the indices of the entities in each entity selection, which lists entities or types of entities."""
     selections: dict[str, list[int]] = {}
     for selection in root.iterfind("Entities/EntitySelection"):
         members = selection.find("Members")

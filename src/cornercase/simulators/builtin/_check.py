@@ -1,4 +1,4 @@
-"""Check a scenario file: contents, schema, and whether it can be run."""
+"""Check of a scenario file: its contents, the schema, and whether the scenario can be run."""
 
 from __future__ import annotations
 
@@ -41,21 +41,21 @@ class Check:
     parameters, variables : tuple of str
         Names of declared parameters and variables.
     drivers : mapping of str to str or None
-        By entity: the driver that the file gives it; None if the storyboard moves it, at least at the beginning.
+        Driver that the file gives to each entity; None if the storyboard moves the entity, at least at the beginning.
     notices : tuple of Notice
         Parts of the scenario, its catalogs, roads and space that have no effect in the builtin simulator, and why.
     schema : str or None
         Version of the schema used for validation; None if the schema is not installed.
     schema_errors : tuple of str
-        Schema violations of the file and of the space. Violations that are read all the same are listed only if
+        Schema violations of the file and of the space. Violations that do not prevent reading are listed only if
         `strict` was given.
     space : ParameterSpace or None
-        The parameter space; None if no space was given, or it cannot be used. Parameters of drivers are not checked,
-        since a search may be given other drivers than the file's.
+        The parameter space; None if no space was given, or the space cannot be used. Parameters of drivers are not
+        checked, since a search may use other drivers than the file.
     run_errors : tuple of str
-        Why the scenario cannot be run.
+        Reasons why the scenario cannot be run; empty if it can be run.
     standard_violations : tuple of str
-        Violations of the standard that are read all the same, with the rule; empty unless `strict` was given.
+        Violations of the standard that do not prevent reading, with the rule; empty unless `strict` was given.
 
     Examples
     --------
@@ -103,8 +103,8 @@ def check(
 ) -> Check:
     """Check what a scenario file contains, what has no effect here, and whether it is valid and can be run.
 
-    It is validated by ASAM's schema if the extra ``cornercase[validate]`` is installed, and run for one time step: with
-    the parameters' own values, or those in the middle of the space, and with the given drivers.
+    The file is validated by ASAM's schema if the extra ``cornercase[validate]`` is installed. The scenario is run for
+    one time step with the given drivers, and with the parameter values of the file or from the middle of the space.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def check(
     space : path, optional
         ParameterValueDistribution file.
     strict : bool, default False
-        Also reject violations of the standard that can be read: all notices with the label ``adapted``.
+        Also reject violations of the standard that do not prevent reading: all notices with the label ``adapted``.
     drivers : mapping of str to str, SystemUnderTest or Driver, optional
         By entity, as for `simulate`.
 
@@ -185,13 +185,13 @@ def check(
 
 
 def schema_errors(root: etree._Element) -> list[str] | None:
-    """Return the errors by the schema of the file's version, one line each; None if the schema is not installed."""
+    """Return violations of the schema of the file's version, one line each; None if the schema is not installed."""
     version, errors = _validate_by_schema(root)
     return None if version is None else errors
 
 
 def _validate_by_schema(root: etree._Element) -> tuple[str | None, list[str]]:
-    """Return the version of the schema (None if not installed), and at most 20 errors with their lines."""
+    """Validate a file by ASAM's schema; return its version (None if not installed) and at most 20 violations."""
     header = root.find("FileHeader")
     minor = "" if header is None else header.get("revMinor", "")
     version = _SCHEMA_VERSIONS.get(int(minor) if minor.isdecimal() and len(minor) < 4 else -1, _SCHEMA_VERSIONS[3])

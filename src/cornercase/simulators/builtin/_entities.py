@@ -24,10 +24,10 @@ _HEADING_INTERPOLATIONS: Final = {
 
 # m; larger than any vehicle or object beside a road.
 _MAX_SIZE: Final = 10_000.0
-# Length, width and longitudinal centre in m, if a file gives none: those of esmini's entities, or of common vehicles.
 # Wheelbase as a share of the length, and largest angle of the front wheels in rad, of vehicles without axles.
 _DEFAULT_WHEELBASE: Final = 0.6
 _DEFAULT_MAX_STEERING: Final = 0.6
+# Length, width and longitudinal centre in m, if a file gives none: as of esmini's entities, or of common vehicles.
 _DEFAULT_SIZES: Final = {
     "car": (5.04, 2.0, 1.4),
     "van": (4.5, 1.8, 1.3),
@@ -47,7 +47,7 @@ _LIMIT_ATTRIBUTES: Final = ("maxSpeed", "maxAcceleration", "maxDeceleration")
 
 
 def read_entities(objects: Sequence[etree._Element], scope: Scope) -> tuple[tuple[Entity, ...], tuple[Tow, ...]]:
-    """Read all entities of a file, then unnamed trailers (their vehicle with ``+``), and who pulls them."""
+    """Read all entities of a file, then trailers without a name, called as their vehicle with ``+``; and all tows."""
     bodies = [_resolve_body(element, element.get("name", ""), scope) for element in objects]
     names = [element.get("name", "") for element in objects]
     entities = [_read_entity(body, name, body_scope) for name, (body, body_scope) in zip(names, bodies, strict=True)]
@@ -127,7 +127,7 @@ def _read_entity(body: etree._Element, name: str, scope: Scope) -> Entity:
 
 
 def _read_axles(body: etree._Element, length: float, scope: Scope) -> tuple[float, float]:
-    """Return the distance of the axles in m, and the largest angle of the front wheels in rad; defaults for none."""
+    """Return the wheelbase in m, and the largest angle of the front wheels in rad; defaults if the file has none."""
     # Only vehicles that are steered use them, so they do not count as read.
     front, rear = (next(iter(find_untracked(body, "Axles", tag)), None) for tag in ("FrontAxle", "RearAxle"))
     positions = [0.0 if axle is None else scope.read_number(axle, "positionX", 0.0) for axle in (front, rear)]
@@ -159,7 +159,7 @@ def _read_bounding_box(body: etree._Element, object_type: str, scope: Scope) -> 
 def _iter_trailers(
     body: etree._Element, scope: Scope, vehicle_name: str
 ) -> Iterator[tuple[etree._Element, Scope] | str]:
-    """Yield the trailers behind a vehicle, front first: body and scope, or the name of another entity of the file."""
+    """Yield the trailers of a vehicle from front to back, each as element and scope, or as the name of an entity."""
     for _ in range(MAX_TRAILERS):
         holder = body.find("Trailer")
         if holder is None:
@@ -176,7 +176,7 @@ def _iter_trailers(
 
 
 def _referenced_entity(holder: etree._Element, scope: Scope) -> str:
-    """Return the name of the entity that is the trailer; empty if there is none."""
+    """Return the name of the entity to which a ``<Trailer>`` refers; empty if it refers to none."""
     names = []
     for element in holder.iterchildren("TrailerRef", "EntityRef"):
         names.append(scope.read_text(element, "entityRef", ""))

@@ -1,4 +1,4 @@
-"""A lock that lets only one thread run Python code at a time."""
+"""Release of a lock that lets only one thread run Python code at a time."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from threading import Lock
 
 @contextmanager
 def release_gil_lock(gil_lock: Lock | None) -> Iterator[None]:
-    """Release the lock while the block runs compiled code; does nothing if there is no lock."""
+    """Release a lock while a block runs compiled code, and acquire the lock again; None is ignored."""
     if gil_lock is None:
         yield
         return

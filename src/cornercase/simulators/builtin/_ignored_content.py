@@ -25,7 +25,7 @@ from cornercase.simulators.builtin._prepared_file import OPENSCENARIO_SUPPORT, P
 
 
 def read_and_collect_notices(scenario: ScenarioFile, values: Mapping[str, Value] | None = None) -> tuple[Notice, ...]:
-    """Read a scenario as for a run, and return its notices; if it cannot be run, those of what was read."""
+    """Read a scenario as for a run, and return its notices; if it cannot be run, only notices on the parts read."""
     try:
         Batch(PreparedScenario.from_scenario(scenario), [dict(values or {})], [0], 0.05, 1.0, False, {})
     except (InputError, BatchSplitError):
@@ -34,7 +34,7 @@ def read_and_collect_notices(scenario: ScenarioFile, values: Mapping[str, Value]
 
 
 def collect_notices(scenario: ScenarioFile, is_complete: bool = True) -> tuple[Notice, ...]:
-    """Return notices about the files of a scenario after reading it; `is_complete` if it was read to its end."""
+    """Return notices about the files of a scenario that was read; `is_complete`: whether to its end."""
     notices: list[Notice] = [*scenario.left_handed_notices(), *profile_controller_notices(scenario.root, scenario.path)]
     scenario.catalog_files()  # Reads catalogs only if the scenario refers to them.
     networks = PreparedScenario.from_scenario(scenario).networks

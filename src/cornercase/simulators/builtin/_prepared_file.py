@@ -1,4 +1,4 @@
-"""A scenario file, with everything that its batches have in common."""
+"""A scenario file, with everything that its batches (scenarios that run together) have in common."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _BYTES_PER_ELEMENT: Final = {"Condition": 60, "Action": 150, "Event": 150}
 
 
 class UnusableValuesError(InputError):
-    """A scenario file cannot be used with some parameter values; `names` are the parameters that may be the cause."""
+    """Error: a scenario file cannot be used with some parameter values; `names` has the suspected parameters."""
 
     def __init__(self, message: str, names: set[str]) -> None:
         super().__init__(message)
@@ -44,7 +44,7 @@ class UnusableValuesError(InputError):
 
 
 class PreparedScenario:
-    """A scenario file, with everything that its batches have in common.
+    """A scenario file, with everything that its batches (scenarios that run together) have in common.
 
     `split_parameters`: parameters that determine the storyboard; they must be equal in all scenarios of a batch.
     """
@@ -73,14 +73,14 @@ class PreparedScenario:
                 self._checked_elements.add(id(element))
 
     def find_invalid_values(self, values: Sequence[Mapping[str, Value]]) -> dict[int, str]:
-        """Return, by index, why a scenario has a value that its parameter cannot have."""
+        """Return the scenarios, by index, with a value that does not fit the type of its parameter; and the reason."""
         return find_type_errors(self.declarations, values)
 
     def describe_value_error(self, error: InputError, values: Mapping[str, Value], build: Callable[[], object]) -> str:
         """Describe what is wrong with the values of a scenario, as part of a sentence that names the file.
 
-        `error` was raised for these values. `build` reads the file with its default values. If it fails too, the values
-        are not the cause, and `error` is raised.
+        `error` was raised for these values. `build` reads the file with its default values. If this gives the same
+        error, the values are not the cause, and `error` is raised.
         """
         names = error.names if isinstance(error, UnusableValuesError) else set(values)
         given = {name: format_value(values[name]) for name in names if name in values}
@@ -138,7 +138,7 @@ class PreparedScenario:
         return read_declarations(self.scenario.root, str(self.scenario.path))
 
     def road_network(self, reference: str) -> RoadNetwork:
-        """Return the road network of a referenced file, cached; `InputError` if it cannot be used."""
+        """Return the road network in the file to which the scenario refers, cached; `InputError` if it is unusable."""
         path = self.scenario.existing_road_path(reference)
         if path not in self.networks:
             self.networks[path] = RoadNetwork.from_xml(self.scenario.get_root(path), path)
@@ -152,7 +152,7 @@ def _estimate_trajectory_bytes(trajectory: etree._Element) -> int:
 
 
 def _estimate_catalog_trajectory_bytes(follow_action: etree._Element, bytes_by_name: Mapping[str | None, int]) -> int:
-    """Estimate the memory in bytes of a followed trajectory from a catalog; the largest one if it is unknown which."""
+    """Estimate the memory in bytes of a followed trajectory from a catalog; an unknown entry counts as the largest."""
     entries = [
         reference.get("entryName", "") for reference in follow_action.iter() if reference.tag == "CatalogReference"
     ]

@@ -38,12 +38,12 @@ _MAX_RECORDING_BYTES = 4_000_000
 
 
 class Builtin(Simulator):
-    """Simulates all concrete scenarios at once, one or a hundred thousand.
+    """The builtin simulator, which runs all concrete scenarios at the same time, one or a hundred thousand.
 
     Parameters
     ----------
     time_step : float, default 0.05
-        In s.
+        Time step in s.
     duration : float, default 60
         Maximum duration of a scenario in s.
     on_collision : {"continue", "stop"}, default "continue"
@@ -184,7 +184,7 @@ class Builtin(Simulator):
             self._run_group(run, prepared, group)
 
     def _prepare(self, concrete: ConcreteScenario) -> PreparedScenario:
-        """Return the prepared file of a concrete scenario; that of the last run if its content is the same."""
+        """Return the prepared file of a concrete scenario; reuse the last file if its content is the same."""
         self._last_scenario = concrete.load_file(self._last_scenario)
         return PreparedScenario.from_scenario(self._last_scenario)
 
@@ -238,7 +238,7 @@ class Builtin(Simulator):
     def _make_batch_or_store_errors(
         self, run: _PortionRun, prepared: PreparedScenario, indices: list[int]
     ) -> Batch | None:
-        """Create a batch of scenarios; None if the file cannot be used with their values."""
+        """Create a batch; if the file cannot be used with the values, store errors as results and return None."""
         try:
             return self._make_batch(prepared, [run.concretes[i] for i in indices])
         except InputError as error:
@@ -253,7 +253,7 @@ class Builtin(Simulator):
 
 
 class _PortionRun(NamedTuple):
-    """The run of a portion of the scenarios, which fits into memory, in parallel batches.
+    """State of a run of scenarios that fit into memory together, in parallel batches.
 
     Only one thread runs Python code at a time: this avoids GIL contention, which cost a third of the run time.
     """
@@ -266,7 +266,7 @@ class _PortionRun(NamedTuple):
     remarks: list[list[str]]
 
     def submit(self, batch: Batch, n_parallel: int) -> Future[Batch]:
-        """Start a batch, one of `n_parallel`; a single batch has run on return."""
+        """Start a batch in a thread, as one of `n_parallel` batches; a single batch is run here and ends before return."""
         self.batches.add(batch)
         remarks: list[str] = []
         self.remarks.append(remarks)
@@ -287,7 +287,7 @@ _BatchIndexOrError = tuple[Future[Batch], int] | SimulationError
 
 
 def _iter_results(progress: dict[int, _BatchIndexOrError], gil_lock: Lock) -> Iterator[Recording | SimulationError]:
-    """Yield results in order, computed a few portions ahead of the caller."""
+    """Yield results in the order of the scenarios; threads create the next few while the caller uses a result."""
     pending: deque[Future[list[Recording | SimulationError]]] = deque()
     with ThreadPoolExecutor(count_available_cpus()) as executor:
         for begin, end in _split_results(progress):
@@ -303,7 +303,7 @@ def _iter_results(progress: dict[int, _BatchIndexOrError], gil_lock: Lock) -> It
 
 
 def _split_results(progress: Mapping[int, _BatchIndexOrError]) -> Iterator[tuple[int, int]]:
-    """Yield (begin, end) of recordings to create at a time: only a few, to limit memory."""
+    """Yield ranges (begin, end) of scenarios whose recordings are created together: only a few, to limit memory."""
     count, begin, total = len(progress), 0, 0
     future: Future[Batch] | None = None
     for i in range(count):
@@ -332,7 +332,7 @@ def _collect_results(entries: list[_BatchIndexOrError], gil_lock: Lock) -> list[
 def _find_undeclared_values(
     scenario: ScenarioFile, concretes: Sequence[ConcreteScenario], indices: list[int]
 ) -> dict[int, str]:
-    """Return, by index, why scenarios have a value that the file declares no parameter for."""
+    """Return the scenarios, by index, with a value for a parameter that the file does not declare; and the reason."""
     reasons: dict[int, str] = {}
     names_of_scenarios = {i: tuple(concretes[i].values) for i in indices}
     for names in set(names_of_scenarios.values()):

@@ -1,4 +1,4 @@
-"""Step all scenarios of a batch: storyboards and own drivers run in Python when needed, compiled code does the rest."""
+"""Time steps of all scenarios of a batch: mostly compiled code; storyboards and users' drivers run in Python."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class Coupling(Protocol):
     """Another simulator that moves some of the entities, in step with the storyboard."""
 
     def step(self, world: World, dt: float) -> None:
-        """Move its entities to the end of the coming time step; with a step of 0, only read their initial state."""
+        """Move the other simulator's entities by a time step of `dt` s; with 0, only read their initial state."""
         ...
 
 
@@ -75,9 +75,9 @@ class Stepper:
     """Runs N scenarios of one file, each with a clock of its own.
 
     A scenario runs in compiled code until a condition changes, an action ends, or a driver without compiled code has to
-    decide. Then its storyboard is evaluated, or the driver asked, together with all others that wait for it. `scene`
-    holds the state and the recordings; `max_frames` is the maximum number of frames; `is_cancelled` is True once nobody
-    waits for results.
+    decide. Then the storyboard or the driver runs in Python, for all waiting scenarios together. `scene` holds the
+    state and the recordings. `max_frames` is the maximum number of frames. `is_cancelled` is True once nobody waits for
+    results.
     """
 
     def __init__(
@@ -132,7 +132,7 @@ class Stepper:
         )
 
     def _read_triggers(self) -> None:
-        """Make the condition tables of all triggers; remember the conditions that tables cannot express."""
+        """Make the condition tables of all triggers for compiled code; keep a list of all other conditions."""
         specs, self._python_triggers = [], list[int]()
         in_tables, others = list[tuple[Condition, ConditionSpec]](), list[tuple[Condition, ConditionSpec]]()
         # With indices of triggers.
@@ -171,7 +171,7 @@ class Stepper:
         self._world.evaluate_leaves = self._evaluate_leaves
 
     def run(self, n_threads: int, gil_lock: Lock | None = None) -> None:
-        """Step until every scenario has ended, in at most `n_threads` threads; release `gil_lock` in kernels."""
+        """Step until every scenario has ended, in at most `n_threads` threads; `gil_lock` is released in kernels."""
         self._gil_lock = gil_lock
         n_threads = min(n_threads, self._world.scenarios // _MIN_SCENARIOS_PER_THREAD)
         # Between two questions to a driver there is too little to do for several threads.
@@ -235,14 +235,14 @@ class Stepper:
             self._run_until_stopped()
 
     def _evaluate_leaves(self) -> None:
-        """Evaluate the leaves of all conditions in the running scenarios, whose status is idle."""
+        """Evaluate by compiled code all conditions that it can evaluate, in the running scenarios (status idle)."""
         self._loop_state.status[self._world.running] = EVALUATE_LEAVES
         self._bind_tables()
         # In this thread: handing so little work to others would take longer.
         self._run_range(0, self._world.scenarios)
 
     def _ask_drivers(self, waiting: BoolArray) -> None:
-        """Let Python decide motion where scenarios are behind the others, so it is asked once in each time step."""
+        """Let drivers in Python decide, in those waiting scenarios with the fewest frames, once per time step."""
         world, loop, frames = self._world, self._loop_state, self.scene.n_frames
         waiting = waiting & (frames == frames[waiting].min())
         number = int(loop.next_driver[waiting].min())
@@ -265,7 +265,7 @@ class Stepper:
         return sum(map(len, self._world.tracks))
 
     def _publish_triggers(self) -> BoolArray:
-        """Publish pending triggers to the compiled loop; return where Python evaluates triggers in the next frame."""
+        """Pass pending triggers to the compiled loop; return the scenarios in which Python evaluates the next frame."""
         world, leaves, waiting = self._world, self._condition_table, self._storyboard.find_waiting_triggers()
         leaves.is_watched[:] = waiting.T
         # Triggers that depend on earlier values: one more evaluation shows whether they fire.
@@ -281,7 +281,7 @@ class Stepper:
         return np.asarray(in_python)
 
     def _run_until_stopped(self, has_new_tracks: bool = True) -> None:
-        """Run the compiled loop until all scenarios have stopped; provide the lanes and positions that it asks for."""
+        """Run the compiled loop until all scenarios have stopped; provide lanes and positions that it requires."""
         world, status = self._world, self._loop_state.status
         while True:
             if has_new_tracks:
@@ -319,7 +319,7 @@ class Stepper:
                 self._bound_tables = tracks, fleet
 
     def _give_drivers_their_paths(self) -> None:
-        """Let compiled drivers plan their routes along the tracks they follow now."""
+        """Set the routes of compiled drivers along the tracks (paths) that their entities follow now."""
         world = self._world
         for driving in self._driver_actions:
             if not driving.in_fleet:
@@ -338,7 +338,7 @@ class Stepper:
                         self._fleet = set_half_widths(self._fleet, d, k, half_lane_widths(world.network, track.path))
 
     def _attach_steered_entities_to_lanes(self) -> None:
-        """Make entities that kernels steer follow the lanes in which they are, in the running scenarios."""
+        """Make entities that compiled drivers steer follow the lane at their position, in the running scenarios."""
         world = self._world
         for driving in self._driver_actions:
             if driving.in_fleet and driving.steers:
@@ -347,9 +347,9 @@ class Stepper:
 
 
 def _bind_arguments(*arguments: Any) -> tuple[Callable[[int, int], object], bool]:
-    """Bind all arguments of the time loop but the range of scenarios; also return whether it is compiled.
+    """Bind all arguments of the time loop except the range of scenarios; also return whether the loop is compiled.
 
-    Numba looks at the types of all arrays in each call, which takes longer than one frame of a scenario.
+    Otherwise Numba looks at the types of all arrays in each call, which takes longer than one frame of a scenario.
     """
     if isinstance(run_until_storyboard, Dispatcher) and run_until_storyboard.overloads:
         types = (*map(typeof, arguments), int64, int64)
@@ -363,13 +363,13 @@ def _bind_arguments(*arguments: Any) -> tuple[Callable[[int, int], object], bool
 def _build_driver_fleet(world: World, driver_actions: list[DriverControl]) -> Fleet:
     boxes = np.array([(entity.length, entity.width, entity.center_x) for entity in world.entities]).reshape(-1, 3)
     return build_fleet(
-        [entity.driver if entity.in_fleet else None for entity in driver_actions],
-        [entity.entity for entity in driver_actions],
+        [control.driver if control.in_fleet else None for control in driver_actions],
+        [control.entity for control in driver_actions],
         world.scenarios,
         boxes[:, 0],
         boxes[:, 1],
         boxes[:, 2],
         [entity.kind for entity in world.entities],
-        [entity.attached_driver.compiled_vehicle if entity.in_fleet else None for entity in driver_actions],
+        [control.attached_driver.compiled_vehicle if control.in_fleet else None for control in driver_actions],
         world.friction,
     )
