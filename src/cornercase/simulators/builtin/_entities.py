@@ -47,7 +47,10 @@ _LIMIT_ATTRIBUTES: Final = ("maxSpeed", "maxAcceleration", "maxDeceleration")
 
 
 def read_entities(objects: Sequence[etree._Element], scope: Scope) -> tuple[tuple[Entity, ...], tuple[Tow, ...]]:
-    """Read all entities of a file, then trailers without a name, called as their vehicle with ``+``; and all tows."""
+    """Read all entities of a file, and the pairs of vehicle and trailer (tows).
+
+    Trailers without a name follow the other entities, and are called like their vehicle with ``+``.
+    """
     bodies = [_resolve_body(element, element.get("name", ""), scope) for element in objects]
     names = [element.get("name", "") for element in objects]
     entities = [_read_entity(body, name, body_scope) for name, (body, body_scope) in zip(names, bodies, strict=True)]

@@ -9,7 +9,7 @@ from threading import Lock
 
 @contextmanager
 def release_gil_lock(gil_lock: Lock | None) -> Iterator[None]:
-    """Release a lock while a block runs compiled code, and acquire the lock again; None is ignored."""
+    """Release a lock while a block runs compiled code, and acquire the lock again; does nothing for None."""
     if gil_lock is None:
         yield
         return

@@ -73,7 +73,7 @@ class PreparedScenario:
                 self._checked_elements.add(id(element))
 
     def find_invalid_values(self, values: Sequence[Mapping[str, Value]]) -> dict[int, str]:
-        """Return the scenarios, by index, with a value that does not fit the type of its parameter; and the reason."""
+        """Return why values do not fit the types of their parameters, by index of the scenario (none if all fit)."""
         return find_type_errors(self.declarations, values)
 
     def describe_value_error(self, error: InputError, values: Mapping[str, Value], build: Callable[[], object]) -> str:

@@ -266,7 +266,7 @@ class _PortionRun(NamedTuple):
     remarks: list[list[str]]
 
     def submit(self, batch: Batch, n_parallel: int) -> Future[Batch]:
-        """Start a batch in a thread, as one of `n_parallel` batches; a single batch is run here and ends before return."""
+        """Start a batch in a thread, as one of `n_parallel` batches; a single batch runs in this thread."""
         self.batches.add(batch)
         remarks: list[str] = []
         self.remarks.append(remarks)
@@ -332,7 +332,7 @@ def _collect_results(entries: list[_BatchIndexOrError], gil_lock: Lock) -> list[
 def _find_undeclared_values(
     scenario: ScenarioFile, concretes: Sequence[ConcreteScenario], indices: list[int]
 ) -> dict[int, str]:
-    """Return the scenarios, by index, with a value for a parameter that the file does not declare; and the reason."""
+    """Return reasons, by index of the scenario, if the file does not declare a parameter that has a value."""
     reasons: dict[int, str] = {}
     names_of_scenarios = {i: tuple(concretes[i].values) for i in indices}
     for names in set(names_of_scenarios.values()):

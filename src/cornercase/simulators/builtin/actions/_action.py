@@ -1,4 +1,4 @@
-"""Base classes of actions."""
+"""Base classes of the actions that a storyboard runs on entities."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Action:
     table_row: int = -1
 
     def kernel_options(self) -> tuple[int, ...]:
-        """Return type, entity and options of the action for compiled code; by default for an action in Python."""
+        """Return type, entity and options of the action for compiled code; by default the type of actions in Python."""
         return (PYTHON_ACTION,)
 
     def start(self, world: World, where: BoolArray) -> None:
@@ -35,11 +35,11 @@ class Action:
         raise NotImplementedError
 
     def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
-        """Act for one time step in the scenarios of a mask; return a mask of the scenarios in which it has ended."""
+        """Act for one time step in the scenarios of a mask; return the scenarios in which the action has ended."""
         return where.copy()
 
     def look_up_positions(self, world: World, where: BoolArray) -> None:
-        """Look up road positions for the coming frame that compiled code cannot look up, in the scenarios of a mask."""
+        """Look up road positions that compiled code cannot look up, for the coming frame, in the scenarios of a mask."""
 
     def release(self, world: World, where: BoolArray) -> None:
         """Let the entity move on without the action in the scenarios of a mask, because the action is ended early."""
@@ -61,7 +61,7 @@ class CompiledAction(Action):
         return np.asarray(outcomes >= ACTION_ENDED)
 
     def look_up_positions_now(self, world: World, where: BoolArray) -> None:
-        """Look up road positions in the middle of a frame, after its earlier actions, in the scenarios of a mask."""
+        """Look up road positions after earlier actions of the same frame, in the scenarios of a mask."""
         self.look_up_positions(world, where)
 
     def leave_track(self, world: World, where: BoolArray) -> None:

@@ -110,7 +110,7 @@ class DriverControl:
         return self.attached_driver.vehicle is not None and self.attached_driver.vehicle.steers
 
     def find_scenarios_in_charge(self) -> BoolArray:
-        """Return the running scenarios in which the driver drives the entity, shape (N,)."""
+        """Return the running scenarios in which the driver drives the entity, as a mask."""
         world, e = self._world, self.entity
         return np.asarray(world.running & world.present[e] & world.driven[e] & (world.driver[e] == self.number))
 

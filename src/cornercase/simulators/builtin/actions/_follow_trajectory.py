@@ -97,7 +97,7 @@ class FollowTrajectoryAction(CompiledAction):
         attach_to_lane(world, self._entity, where, may_move=False)
 
     def leave_track(self, world: World, where: BoolArray) -> None:
-        """Follow the road beyond the end of the trajectory; the heading relative to the road stays the same."""
+        """Make the entity follow the road beyond the trajectory; its heading relative to the road stays the same."""
         e = self._entity
         attach_to_lane(world, e, where, may_move=False)
         for _, lane, at in world.iter_followed_tracks(e, where):

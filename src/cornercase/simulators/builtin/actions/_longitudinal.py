@@ -157,7 +157,7 @@ class LongitudinalDistanceAction(CompiledAction):
 def _read_limit(
     limits: etree._Element | None, name: str, vehicle_limit: float, default: float, scope: Scope
 ) -> FloatArray:
-    """Read a limit for each scenario, at most `vehicle_limit`, the value if none is given; 0 means `default`."""
+    """Read a limit for each scenario: `vehicle_limit` if none or a larger limit is given, `default` if 0 is given."""
     vehicle_limit = min(vehicle_limit, _UNLIMITED)
     limit = (
         np.full(scope.n_scenarios, vehicle_limit) if limits is None else scope.read_numbers(limits, name, vehicle_limit)
@@ -176,7 +176,7 @@ def require_child(element: etree._Element, tag: str, scope: Scope) -> etree._Ele
 def read_target(
     element: etree._Element, tag: str, quantity: str, scope: Scope, world: World
 ) -> tuple[etree._Element, int | None]:
-    """Return the target of an action, and the index of the entity to which a relative target refers, else None."""
+    """Return the target of an action, and the index of the entity to which it is relative (or None)."""
     holder = require_child(element, tag, scope)
     if (absolute := holder.find(f"Absolute{quantity}")) is not None:
         return absolute, None

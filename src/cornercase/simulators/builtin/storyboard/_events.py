@@ -72,7 +72,7 @@ class ActionElement(Element):
             self._end_without_release(is_done)
 
     def look_up_positions(self, where: BoolArray) -> None:
-        """Look up road positions for the action that compiled code cannot look up, in the scenarios of a mask."""
+        """Look up road positions that compiled code cannot look up, for the action, in the scenarios of a mask."""
         where = where & (self.state == RUNNING)
         if self.action is not None and any_true(where):
             self._world.current_action = self._location

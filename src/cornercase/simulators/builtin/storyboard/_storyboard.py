@@ -149,7 +149,7 @@ class Storyboard:
         return result & ~self._stopped & ~self._stop.fires(self._world, all_scenarios)
 
     def look_up_positions(self, where: BoolArray) -> None:
-        """Look up road positions for all actions that compiled code cannot look up, in the scenarios of a mask."""
+        """Look up road positions that compiled code cannot look up, for all actions, in the scenarios of a mask."""
         for action in self.actions:
             action.look_up_positions(where)
 
