@@ -1,1 +1,1 @@
-"""Simulators on a Dask cluster."""
+"""Simulators on the workers of a Dask cluster."""

@@ -1,4 +1,4 @@
-"""Run scenarios on the workers of a Dask cluster."""
+"""Simulator that runs scenarios on the workers of a Dask cluster."""
 
 from __future__ import annotations
 
@@ -59,12 +59,12 @@ class _ClusterTask:
 
 
 class ClusterSimulator(RemoteSimulator):
-    """Runs concrete scenarios on the workers of a Dask cluster, each with its own simulator and copies of the files.
+    """Simulator on a Dask cluster: each worker has its own instance and copies of the scenario files.
 
-    If workers offer a resource with the simulator's name (``--resources "carla=1"``), only they get scenarios, and no
-    more at a time than they offer. `cluster` is ``"local"`` for `workers` processes on this machine, a scheduler's
-    address or file, or a client that stays open. A scenario is run `retries` times more if its worker was lost;
-    `max_failures` consecutive losses end the run (0: no limit).
+    If workers offer a resource with the simulator's name (``--resources "carla=1"``), only these workers get scenarios,
+    at most as many at a time as the amount of the resource. `cluster` is ``"local"`` for `workers` processes on this
+    machine, a scheduler's address or file, or a client that stays open. A scenario is run `retries` times more if its
+    worker was lost; `max_failures` consecutive losses end the run (0: no limit).
     """
 
     def __init__(
@@ -99,12 +99,12 @@ class ClusterSimulator(RemoteSimulator):
         self._submitted_futures: WeakSet[Future[Any]] = WeakSet()
 
     def check_supported(self, scenario: ScenarioFile) -> None:
-        """Refuse a scenario that the simulator does not support or whose files cannot be sent."""
+        """Raise `InputError` if the simulator does not support a scenario, or the scenario's files cannot be sent."""
         super().check_supported(scenario)
         ScenarioBundle.from_file(scenario)
 
     def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Outcome]:
-        """Run scenarios, as `Simulator.run`; `InputError` also if the workers cannot run it or the cluster is lost."""
+        """Run scenarios like `Simulator.run`; also raise `InputError` if the cluster is lost or unusable."""
         if not concretes:
             return
         slots, resources = self._count_slots()
@@ -131,11 +131,11 @@ class ClusterSimulator(RemoteSimulator):
                 self._client.cancel(list(running))
 
     def parallel_instances(self) -> Sequence[Simulator]:
-        """Return this simulator once for each task that the workers can run at a time; `InputError` without workers."""
+        """Return this simulator once for each task that can run at the same time; `InputError` without workers."""
         return [self] * self._count_slots()[0]
 
     def cancel(self) -> None:
-        """Cancel the tasks that other threads wait for; tasks that have started continue unobserved."""
+        """Cancel the tasks for which other threads wait; tasks that have started continue, without a result."""
         # RuntimeError: another thread adds a future meanwhile; the caller repeats the call.
         with suppress(OSError, CancelledError, TimeoutError, RuntimeError):
             if self._client.status == "running":
@@ -153,7 +153,7 @@ class ClusterSimulator(RemoteSimulator):
             disconnect(self._client)
 
     def _count_slots(self) -> tuple[int, dict[str, float]]:
-        """Return how many tasks can run at a time, and the worker resources that each task requires."""
+        """Return the number of tasks that can run at a time, and the worker resources that each task requires."""
         resource = self.name.partition(":")[0]
         workers = wait_for_workers(self._client, self._required_resource)
         if offered := sum(int(worker["resources"].get(resource, 0.0)) for worker in workers):
@@ -176,8 +176,8 @@ class ClusterSimulator(RemoteSimulator):
             run_scenarios_of_job,
             self._job,
             task.task_id,
-            {parcel.key: parcel for parcel in sent},
-            [(parcel.key, dict(concrete.values), concrete.seed) for parcel, concrete in zip(sent, chosen, strict=True)],
+            {bundle.key: bundle for bundle in sent},
+            [(bundle.key, dict(concrete.values), concrete.seed) for bundle, concrete in zip(sent, chosen, strict=True)],
             key=f"{task.task_id.name}-{task.n_lost}",
             pure=False,
             resources=resources or None,
@@ -189,9 +189,9 @@ class ClusterSimulator(RemoteSimulator):
         """Return a future of a scenario's bundle on the cluster; the bundle is sent again if its worker was lost."""
         key = scenario.fingerprint() + str(scenario.path)
         if key not in self._sent_bundles or self._sent_bundles[key][1].status not in ("pending", "finished"):
-            parcel = ScenarioBundle.from_file(scenario)
-            future = self._client.submit(identity_task, parcel, key=f"cornercase-parcel-{uuid.uuid4().hex}", pure=False)
-            self._sent_bundles[key] = parcel, future
+            bundle = ScenarioBundle.from_file(scenario)
+            future = self._client.submit(identity_task, bundle, key=f"cornercase-parcel-{uuid.uuid4().hex}", pure=False)
+            self._sent_bundles[key] = bundle, future
         return self._sent_bundles[key][1]
 
     def _collect_result(
@@ -199,9 +199,9 @@ class ClusterSimulator(RemoteSimulator):
     ) -> None:
         from distributed.scheduler import KilledWorker
 
-        ran, error = pop_result(self._client, future)
+        result, error = pop_result(self._client, future)
         if error is None:
-            self._record_or_retry(ran, task, waiting, done)
+            self._record_or_retry(result, task, waiting, done)
         elif isinstance(error, InputError):
             raise error
         elif not isinstance(error, KilledWorker):
@@ -217,12 +217,12 @@ class ClusterSimulator(RemoteSimulator):
             raise self._cluster_error("its workers end before they start a scenario")
 
     def _record_or_retry(
-        self, ran: BatchResult | None, task: _ClusterTask, waiting: deque[_ClusterTask], done: dict[int, Outcome]
+        self, result: BatchResult | None, task: _ClusterTask, waiting: deque[_ClusterTask], done: dict[int, Outcome]
     ) -> None:
-        if ran is not None:
+        if result is not None:
             self._n_consecutive_losses = 0
-            self.notify(ran.notices)
-            done |= dict(zip(task.indices, ran.outcomes, strict=True))
+            self.notify(result.notices)
+            done |= dict(zip(task.indices, result.outcomes, strict=True))
             return
         forget_task(task.task_id, self._client)
         if len(task.indices) > 1:

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SimulatorSetup:
-    """A simulator and its settings, for one exploration or suite.
+    """A simulator and its settings, as sent to the workers, for one exploration or suite (a job).
 
     `version` is cornercase's version at the sender. `timeout` is in s. `options` are pickled by `pickle_simulator`,
     since the Dask scheduler may not know the user's classes.
@@ -48,7 +48,7 @@ class SimulatorSetup:
 
 @dataclass(frozen=True)
 class TaskId:
-    """Identifies scenarios that run together; after `lives` workers have been lost with them, they are given up."""
+    """Identifier of scenarios that run together; they are given up when `lives` workers were lost during their run."""
 
     name: str
     lives: int
@@ -56,14 +56,14 @@ class TaskId:
 
 @dataclass(frozen=True)
 class BatchResult:
-    """Results of scenarios, in order, and sentences for the user."""
+    """Results of the scenarios of one task, in order, and notices for the user."""
 
     outcomes: list[Outcome]
     notices: list[str]
 
 
 class _JobState:
-    """Simulators and files of a job in this process; only one thread at a time uses a simulator."""
+    """Simulators and scenario files of a job in this worker process; only one thread at a time uses a simulator."""
 
     def __init__(self, job: SimulatorSetup) -> None:
         self._job = job
@@ -136,7 +136,7 @@ _LOCK: Final = Lock()
 
 
 def identity_task(bundle: ScenarioBundle) -> ScenarioBundle:
-    """Return the bundle unchanged; as a Dask task, this stores it on the cluster."""
+    """Return a bundle of scenario files unchanged; as a Dask task, this stores the bundle on the cluster."""
     return bundle
 
 
@@ -146,24 +146,24 @@ def run_scenarios_of_job(
     bundles: Mapping[str, ScenarioBundle],
     scenarios: Sequence[tuple[str, Mapping[str, Value], int]],
 ) -> BatchResult | None:
-    """Run scenarios (bundle key, values and seed) of a job here; None if too many workers were lost with them."""
+    """Run scenarios (bundle key, values, seed) of a job on this worker; None if their runs cost too many workers."""
     if job.version != __version__:
         raise InputError(
             f"`cluster`: a worker has cornercase {__version__}, this machine has {job.version}; install"
             " the same version on both."
         )
     with _LOCK:
-        site = _JOB_STATES[job.key] if job.key in _JOB_STATES else _JOB_STATES.setdefault(job.key, _JobState(job))
-    unpacked = {key: site.unpack_scenario(key, parcel) for key, parcel in bundles.items()}
+        job_state = _JOB_STATES[job.key] if job.key in _JOB_STATES else _JOB_STATES.setdefault(job.key, _JobState(job))
+    unpacked = {key: job_state.unpack_scenario(key, bundle) for key, bundle in bundles.items()}
     concretes = [
         ConcreteScenario(unpacked[key][0].path, values, unpacked[key][0], seed) for key, values, seed in scenarios
     ]
-    sender_folders = {str(unpacked[key][1]): parcel.common_folder for key, parcel in bundles.items()}
+    sender_folders = {str(unpacked[key][1]): bundle.common_folder for key, bundle in bundles.items()}
     with _mark_started(task_id) as may_run:
         if not may_run:
             return None
         try:
-            with site.borrow_simulator() as simulator:
+            with job_state.borrow_simulator() as simulator:
                 noticed = list[str]()
                 simulator.on_notice = noticed.append
                 results = list(run_scenarios_as_given(simulator, concretes))
@@ -183,8 +183,8 @@ def _mark_started(task_id: TaskId) -> Iterator[bool]:
     """Mark a task as started while it runs; yield whether it may start.
 
     The mark is stored at the Dask scheduler. If a worker is lost, its mark remains, so that lost workers can be
-    counted; `forget_task` removes it. Dask's own limit (``allowed-failures``) is not enough: it is the same for the
-    whole cluster, and counts workers that had not started the task.
+    counted; `forget_task` removes the mark. Dask's own limit (``allowed-failures``) is not enough: it is the same for
+    the whole cluster, and counts workers that had not started the task.
     """
     from distributed import Event, get_client
 
@@ -211,7 +211,7 @@ def _restore_sender_paths(text: str, sender_folders: Mapping[str, str]) -> str:
 
 
 def forget_task(task_id: TaskId, client: Client) -> None:
-    """Remove the marks of lost workers for a task from the scheduler."""
+    """Remove the marks that lost workers have left for a task at the Dask scheduler."""
     from distributed import Event
 
     for life in range(task_id.lives):
@@ -219,8 +219,8 @@ def forget_task(task_id: TaskId, client: Client) -> None:
 
 
 def close_job(key: str) -> None:
-    """Close the simulators and remove the files of a job."""
+    """Close the simulators of a job on this worker, and remove the job's files."""
     with _LOCK:
-        site = _JOB_STATES.pop(key, None)
-    if site is not None:
-        site.close()
+        job_state = _JOB_STATES.pop(key, None)
+    if job_state is not None:
+        job_state.close()

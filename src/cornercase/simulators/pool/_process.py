@@ -40,7 +40,7 @@ _START_TIMEOUT, _EXIT_CODE_TIMEOUT, _END_TIMEOUT = 60.0, 0.2, 10.0
 
 @dataclass(frozen=True)
 class WorkerTask:
-    """Scenarios (indices) that a worker process runs in one call of its simulator; and earlier attempts."""
+    """Scenarios, by index, that a worker process runs in one call of its simulator; and number of earlier attempts."""
 
     indices: tuple[int, ...]
     tries: int = 0
@@ -59,10 +59,11 @@ WorkerMessage = Outcome | InputError | NoticeMessage | None
 class WorkerProcess:
     """A process with a simulator; it is started when it is needed, and again after it has ended.
 
-    `timeout` is in s per scenario. `reaper` ends the process if this process dies, and owns its temporary folder.
+    `timeout` is in s per scenario. `reaper` ends the worker process if the main process dies, and owns the worker's
+    temporary folder.
 
-    Attributes: `task` is the last task, and `remaining` its scenarios without a result (empty if the process is idle).
-    `connection` leads to the process. `deadline` is the time limit, as a `time.monotonic` time.
+    Attributes: `task` is the last task. `remaining` has the scenarios of this task without a result (empty if the
+    process is idle). `connection` leads to the process. `deadline` is the time limit, as a `time.monotonic` time.
     """
 
     connection: Connection
@@ -114,7 +115,7 @@ class WorkerProcess:
             self.deadline = time.monotonic() + self._timeout * len(self.remaining)
 
     def receive(self) -> WorkerMessage:
-        """Return the next message, None after the start; TimeoutError, EOFError or OSError if it has ended."""
+        """Return the next message, None after the start; TimeoutError if late, EOFError or OSError if the process ended."""
         if not self.connection.poll():
             action = f"end within {self._timeout:g} s" if self._is_started else f"start within {_START_TIMEOUT:g} s"
             raise TimeoutError(f"the simulator did not {action}")
@@ -203,7 +204,7 @@ def _worker_main(connection: Connection, simulator_description: bytes, folder: P
 
 
 def _require_known(name: str | type[Simulator]) -> None:
-    """Say why a simulator that the main process knows is unknown here."""
+    """Raise `InputError` if this worker process does not know the simulator; the message says why."""
     if isinstance(name, str) and (base := name.partition(":")[0]) not in SIMULATORS:
         raise InputError(
             f"Worker processes find no simulator '{base}', as they do not search the current folder for packages;"

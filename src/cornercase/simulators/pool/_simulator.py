@@ -27,18 +27,18 @@ _MAX_SINGLE_WAIT: Final = 3600.0
 
 @dataclass
 class _FailureCount:
-    """Number of consecutive scenarios without a result, common to all processes."""
+    """Number of consecutive scenarios without a result, shared by all worker processes."""
 
     count: int = 0
 
 
 class WorkerSimulator(RemoteSimulator):
-    """Runs concrete scenarios in worker processes, each with its own simulator; their number does not change results.
+    """Simulator in worker processes, each with its own instance; the number of processes does not change results.
 
-    A simulator with `batched` gets an equal share of the scenarios per process, any other gets one at a time. If a
+    If the simulator is `batched`, each process gets an equal share of the scenarios, otherwise one at a time. If a
     batch crashes or hangs, its scenarios without a result are run again one by one. `timeout` is in s per scenario; the
-    simulator has another minute to start. `retries` counts further runs after the simulator failed; if the process was
-    killed from outside, there is at least one. `max_failures` consecutive failures end the run (0: no limit).
+    simulator has another minute to start. `retries` is the number of further runs after a failure; a process that was
+    killed from outside gets at least one retry. `max_failures` consecutive failures end the run (0: no limit).
     """
 
     def __init__(
@@ -63,7 +63,7 @@ class WorkerSimulator(RemoteSimulator):
         self._single_process_simulators: list[WorkerSimulator] = []
 
     def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Outcome]:
-        """Run scenarios, as `Simulator.run`; `InputError` also after `max_failures` consecutive failures."""
+        """Run scenarios like `Simulator.run`; also raise `InputError` after `max_failures` consecutive failures."""
         size = -(-len(concretes) // len(self._workers)) if self._batched and concretes else 1
         indices = range(len(concretes))
         waiting = deque(WorkerTask(tuple(indices[k : k + size])) for k in indices[::size])
@@ -85,7 +85,7 @@ class WorkerSimulator(RemoteSimulator):
                     worker.stop()
 
     def parallel_instances(self) -> Sequence[WorkerSimulator]:
-        """Return one simulator per process; closing this simulator closes them."""
+        """Return one simulator per worker process; `close` of this simulator closes all."""
         if not self._single_process_simulators:
             self._single_process_simulators = [copy(self) for _ in self._workers]
             for single, worker in zip(self._single_process_simulators, self._workers, strict=True):
@@ -155,8 +155,8 @@ class WorkerSimulator(RemoteSimulator):
     ) -> None:
         """Run the remaining scenarios of a failed task again, or record the failure as their result.
 
-        If a batch failed, the scenario at fault is unknown, so each is run alone. With `is_own_result`, the failure is
-        the result of the first remaining scenario.
+        If a batch failed, the scenario at fault is unknown, so each scenario is run alone. With `is_own_result`, the
+        failure is the result of the first remaining scenario.
         """
         if len(task.indices) > 1 and not is_own_result:
             waiting.extendleft(WorkerTask((k,)) for k in reversed(remaining))
@@ -183,7 +183,7 @@ class WorkerSimulator(RemoteSimulator):
 
 
 def _describe_process(options: Mapping[str, Any]) -> str:
-    """Describe a simulator's process in messages; names the user's drivers, since these may have ended it."""
+    """Describe a simulator's process in messages; names drivers of the user, since these may have ended the process."""
     drivers = [
         f"the driver of {quote_name(entity)} ({name})"
         for entity, driver in (options.get("drivers") or {}).items()
