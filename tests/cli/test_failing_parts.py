@@ -195,7 +195,7 @@ def test_42_8_a_driver_object_that_cannot_be_sent_is_named_with_what_it_holds(tm
         refused.value
     )
     assert "its attribute 'handle' cannot be pickled (ValueError: ctypes objects" in str(refused.value)
-    assert "Create that in start(), give the class by name" in str(refused.value)
+    assert "Create it in start(), give the class by name" in str(refused.value)
     assert not (tmp_path / "s.db").exists()
     # In this process it need not be sent.
     assert cc.explore(X, tmp_path / "s.db", metrics=["wttc"], drivers={"Ego": Holding()}, **PYTHON).done == 6

@@ -21,17 +21,17 @@ from cornercase.scenario import ConcreteScenario, Value
 from cornercase.scenario._file import ScenarioFile
 
 COMMON_OPTIONS: Final = ("drivers", "on_collision", "time_step", "duration")
-"""Options that every simulator is offered, which it need not declare."""
+"""Options that every simulator is offered; its constructor need not declare them."""
 
 
 @dataclass(frozen=True)
 class Availability:
-    """Whether a simulator can run on this machine.
+    """Availability of a simulator on this machine.
 
     Attributes
     ----------
     version : str
-        Empty if unknown.
+        Version of the simulator; empty if unknown.
     problem : str
         What is missing and how to get it, as a sentence; empty if the simulator can run.
     features : tuple of str
@@ -51,50 +51,52 @@ class Availability:
 
 
 class Simulator(Configurable, ABC):
-    """Runs concrete scenarios; the base class of all simulators.
+    """Base class of all simulators, which run concrete scenarios.
 
     Your own simulator is a subclass with `settings` and `run`, registered in the entry-point group
     ``cornercase.simulators``. The other members have defaults for a program that runs one scenario at a time.
 
     The constructor must not start anything, and must work if the program is not installed: the object only describes a
-    simulator, and may be created again in another process. All options of the constructor are keyword arguments. If it
-    declares them, it gets ``time_step`` and ``duration`` in s, ``on_collision`` (``"continue"`` or ``"stop"``) and
-    ``drivers`` (drivers or their names, by entity). Drivers are refused if it does not declare them. Other options
-    follow the name of the simulator after a colon (``"esmini:seed=3"``). They must be declared by name: ``**options``
-    does not accept them.
+    simulator, and may be created again in another process. All options of the constructor are keyword arguments. The
+    constructor is offered ``time_step`` and ``duration`` in s, ``on_collision`` (``"continue"`` or ``"stop"``) and
+    ``drivers`` (drivers or their names, by entity), and gets the options that it declares. If it does not declare
+    ``drivers``, drivers are refused. Other options follow the name of the simulator after a colon
+    (``"esmini:seed=3"``). They must be declared by name: ``**options`` does not accept them.
 
     Attributes
     ----------
     name : str
-        As registered, with its options if it was created with any: ``"esmini:seed=3"``. Time step, duration,
-        ``on_collision`` and drivers are not part of it, since all simulators have them.
+        Registered name, with the simulator's options if any were given: ``"esmini:seed=3"``. Time step, duration,
+        ``on_collision`` and drivers are not part of the name, since all simulators have them.
     settings : dict
-        Everything besides the scenario that the recordings depend on, as plain JSON values. It is stored with a study,
-        and a study is resumed only with the same settings.
+        Everything besides the scenario on which the recordings depend, as plain JSON values. The settings are stored
+        with a study, and a study is resumed only with the same settings.
     requires : tuple of str
-        Further options that it gets: ``"ego"``, the name of the entity under test, and ``"worker"``, the number of its
-        worker process from 0 on.
+        Further options that the constructor gets: ``"ego"``, the name of the entity under test, and ``"worker"``, the
+        number of the worker process, counted from 0.
     in_process : bool, default False
-        Whether it may run in cornercase's own process: it neither crashes nor hangs, and leaves nothing behind.
+        Whether the simulator may run in cornercase's own process, since it neither crashes nor hangs and leaves
+        nothing behind.
     deterministic : bool, default False
         Whether the same scenario with the same settings gives a bit-identical recording. Differences between recordings
         then come from what is tested. This is checked with the first scenario of each study.
     batched : bool, default False
-        Whether one call with many scenarios is faster than single calls. It then gets as many scenarios as possible at
-        once, otherwise one at a time.
+        Whether one call with many scenarios is faster than single calls. The simulator then gets as many scenarios as
+        possible at once, otherwise one at a time.
     takes_driver_parameters : bool, default False
-        Whether its drivers can differ between scenarios: ``concrete.values`` then also has values such as
-        ``Ego.reaction``, for the option ``reaction`` of the driver of ``Ego``. They are refused otherwise.
+        Whether parameters of drivers can differ between scenarios: ``concrete.values`` then also has values such as
+        ``Ego.reaction``, for the option ``reaction`` of the driver of ``Ego``. Otherwise these parameters are refused.
     runs_storyboard : bool, default True
         Whether the storyboard of the scenario file says what happens; otherwise something else does, such as a TestRun.
     has_own_boxes : bool, default False
-        Whether its vehicles are models with boxes of their own, instead of those of the scenario file.
+        Whether the simulator's vehicles have bounding boxes of their own, instead of the boxes in the scenario file.
     parameter_passing : {"name", "file"}, default "name"
-        How it takes parameter values. ``"name"``: ``concrete.values`` has the values of all parameters that the
-        scenario file declares. ``"file"``: it reads the file, and ``concrete.values`` has only the values that differ
-        from it (none for the scenarios of a suite).
+        How the simulator takes parameter values. ``"name"``: ``concrete.values`` has the values of all parameters that
+        the scenario file declares. ``"file"``: the simulator reads the file, and ``concrete.values`` has only the
+        values that differ from the file (none for the scenarios of a suite).
     on_notice : callable
-        Called with sentences for the user. By default they become a `NoticeWarning`; worker processes forward them.
+        Called with each sentence for the user. By default the sentence becomes a `NoticeWarning`; worker processes
+        forward it.
 
     Examples
     --------
@@ -174,7 +176,7 @@ class Simulator(Configurable, ABC):
         Raises
         ------
         InputError
-            None of them can be run, as far as can be known beforehand. By default nothing is refused.
+            None of the scenarios can be run, as far as can be known beforehand. By default nothing is refused.
         """
 
     @classmethod
@@ -206,24 +208,25 @@ class Simulator(Configurable, ABC):
         return Availability()
 
     def component_versions(self) -> Mapping[str, str]:
-        """Return versions of the programs that this simulator uses, for those who look for the cause of a problem.
+        """Return versions of the programs that this simulator uses, which help to find the cause of a problem.
 
         Returns
         -------
         mapping of str to str
-            By the name of the program; empty if it is unknown. None by default, as `availability` tells one version.
+            Version by name of the program; an empty text if the version is unknown. By default there are no entries,
+            as `availability` has one version.
         """
         return {}
 
     @classmethod
     def own_agents(cls) -> Mapping[str, Mapping[str, object]]:
-        """Return agents of the simulator's own that can drive the entity ``Ego``, for checks.
+        """Return the simulator's own driver models (agents) that can drive the entity ``Ego``, for checks.
 
         Returns
         -------
         mapping of str to mapping
-            The options with which each agent drives, by its name: ``{"SUMO's model normal": {"drivers": {"Ego":
-            "normal"}}}``. Empty by default.
+            Options of the simulator with which an agent drives, by the agent's name: ``{"SUMO's model normal":
+            {"drivers": {"Ego": "normal"}}}``. Empty by default.
         """
         return {}
 
@@ -248,7 +251,8 @@ class Simulator(Configurable, ABC):
         Returns
         -------
         sequence of Simulator
-            As many as scenarios can currently run in parallel. Empty by default: it runs in the thread that created it.
+            As many as scenarios can currently run in parallel. Empty by default: the simulator runs in the thread that
+            created it.
         """
         return ()
 
@@ -271,7 +275,7 @@ class Simulator(Configurable, ABC):
 
 
 def check_seed(seed: int, owner: str) -> int:
-    """Return the seed of an owner; `InputError` unless it is an integer from 0 to 2147483647."""
+    """Return a seed; `InputError`, which names the `owner`, unless the seed is an integer from 0 to 2147483647."""
     if not (isinstance(seed, int) and 0 <= seed < 2**31):
         raise InputError(f"The seed of {owner} is {seed}; give a whole number from 0 to 2147483647.")
     return seed
@@ -294,19 +298,20 @@ def require_settings(simulator: Simulator) -> None:
 def check_settings(
     time_step: float, duration: float, on_collision: str, drivers: Mapping[str, DriverLike] | None
 ) -> dict[str, object]:
-    """Return the settings common to all simulators with a storyboard, as plain values.
+    """Check the options common to all simulators with a storyboard, and return them as plain values.
 
     Parameters
     ----------
     time_step, duration : float
         In s.
-    on_collision : str
+    on_collision : {"continue", "stop"}
     drivers : mapping of str to str, SystemUnderTest, Driver or Behaviour, or None
-        By entity.
+        Driver of each entity.
 
     Returns
     -------
     dict
+        The ``settings`` of a simulator.
 
     Raises
     ------

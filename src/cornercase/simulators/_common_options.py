@@ -1,4 +1,4 @@
-"""Options that every simulator is offered, and selection of the options that a simulator declares."""
+"""Options common to all simulators, such as ``time_step``, and selection of options that a simulator declares."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _DEFAULT_OPTIONS: Final = {name: SIMULATION_OPTIONS[name].default for name in CO
 
 
 def select_declared_options(name: str, simulator: type[Simulator], options: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the options that a simulator's constructor declares; refuse or warn about others that were given."""
+    """Return the options that a simulator's constructor declares; refuse other given options, or warn about them."""
     declared = declared_options(simulator)
     for key, default in _DEFAULT_OPTIONS.items():
         value = options.get(key)
@@ -46,7 +46,7 @@ def select_declared_options(name: str, simulator: type[Simulator], options: Mapp
 def split_common_options(
     simulator: str | Simulator, options: Mapping[str, Any]
 ) -> tuple[str | Simulator, dict[str, Any]]:
-    """Return a simulator without the options that all have, and these options, from it or from `options`."""
+    """Return a simulator without common options such as ``time_step``, and their values from it or `options`."""
     common = {key: options[key] for key in _DEFAULT_OPTIONS}
     if isinstance(simulator, str):
         stripped, own = _split_text(check_str("simulator", simulator))
@@ -66,9 +66,9 @@ def split_common_options(
 
 
 def _split_text(text: str) -> tuple[str, dict[str, Any]]:
-    """Return the text of a simulator without the options that all have, and the values of these.
+    """Split the text of a simulator into a text without common options, such as ``time_step``, and their values.
 
-    `InputError` if it has drivers, which are no texts.
+    Raises `InputError` if the text has the option ``drivers``, since drivers are not texts.
     """
     name, _, after = text.partition(":")
     if name not in SIMULATORS or SIMULATORS.takes_text(name):
@@ -76,7 +76,7 @@ def _split_text(text: str) -> tuple[str, dict[str, Any]]:
     parts = after.split(",")
     keys = {part: part.partition("=")[0].strip() for part in parts}
     if "drivers" in keys.values():
-        raise InputError(f"The simulator '{name}' takes 'drivers' on its own, not after the colon.")
+        raise InputError(f"The simulator '{name}' takes 'drivers' as an option of its own, not after the colon.")
     common = [part for part in parts if keys[part] in COMMON_OPTIONS]
     if not common:
         return text, {}

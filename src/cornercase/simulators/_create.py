@@ -33,9 +33,9 @@ def create_simulator(
 ) -> Simulator:
     """Create a simulator from a name or an object, in this process, in worker processes or on a Dask cluster.
 
-    In worker processes, a crash or hang costs only the scenario at fault. A simulator with `in_process` runs here,
-    unless there are several workers, a time-out, or a user's driver given by name: drivers given as objects may not be
-    picklable.
+    In worker processes, a crash or hang costs only the scenario at fault. A simulator with `in_process` runs in this
+    process, unless there are several workers, a time-out, or a user's driver given by name. A driver given as an object
+    is no reason for worker processes, since it may not be picklable.
     """
     timeout = None if timeout is None else check_float("timeout", timeout, above=0.0)
     workers = check_int("workers", workers, 1, MAX_WORKERS)

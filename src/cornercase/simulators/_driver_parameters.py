@@ -1,4 +1,4 @@
-"""Check parameters of drivers, sensors and vehicles, such as ``Ego.reaction``, before anything is run."""
+"""Checks of parameters of drivers, sensors and vehicles, such as ``Ego.reaction``, before anything is run."""
 
 from __future__ import annotations
 
@@ -19,9 +19,10 @@ from cornercase.simulators._registry import SIMULATORS
 def find_parameters_of_drivers(
     scenario: ScenarioFile, drivers: Mapping[str, object], names: Iterable[str]
 ) -> list[tuple[str, Driver, dict[str, str]]]:
-    """Return entity, driver and the full names by name without the entity, of all parameters of drivers in `names`.
+    """Find the parameters of drivers, such as ``Ego.reaction``, among `names`.
 
-    `drivers` override those of the file. Raises `InputError` for a parameter that the entity's driver does not have.
+    Returns one tuple per entity: entity, driver, and full names by short name (``{"reaction": "Ego.reaction"}``).
+    `drivers` override the drivers of the file. Raises `InputError` for a parameter that the driver does not have.
     """
     by_entity: dict[str, dict[str, str]] = {}
     for full_name, (entity, name) in scenario.driver_parameters(dict.fromkeys(names)).items():
@@ -39,8 +40,8 @@ def find_parameters_of_drivers(
                 raise InputError(f"{scenario.path}: {error}") from None
         else:
             raise InputError(
-                f"{scenario.path}: {next(iter(own.values()))} is a parameter of the driver of {entity}, but nobody"
-                f" drives it; give `drivers`, as in {{{entity!r}: 'normal'}}."
+                f"{scenario.path}: {next(iter(own.values()))} is a parameter of the driver of {entity}, but {entity}"
+                f" has no driver; give `drivers`, as in {{{entity!r}: 'normal'}}."
             )
         check_parameters(entity, made, own)
         parameters.append((entity, made, own))
@@ -53,7 +54,7 @@ def check_driver_parameters(
     drivers: Mapping[str, object],
     samples: Sequence[Mapping[str, Value]],
 ) -> None:
-    """Raise `InputError` if a simulator takes no parameters of drivers, or a driver not those of a sample of values."""
+    """Raise `InputError` if a simulator takes no parameters of drivers, or a driver refuses a value in `samples`."""
     names = list(dict.fromkeys(name for values in samples for name in values))
     if not (own := scenario.driver_parameters(names)):
         return
@@ -72,7 +73,7 @@ def check_driver_parameters(
 
 
 def bounds_of_parameters(space: ParameterSpace) -> list[dict[str, Value]]:
-    """Return the extreme values of each parameter of a space, and one between; all values of one with choices."""
+    """Return values for a check of each parameter of a space: its bounds and a value between, or its choices."""
     samples = list[dict[str, Value]]()
     for parameter in space.parameters:
         if parameter.choices:

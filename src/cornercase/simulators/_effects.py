@@ -1,4 +1,4 @@
-"""What a simulator does with a scenario otherwise than the builtin one, as far as it can tell without a run."""
+"""Description of what a simulator ignores or changes in a scenario, as far as it is known without a run."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from cornercase.simulators._results import check_simulator_accepts, list_ignored
 def describe_effects(
     simulator: str, scenario: Path | str, *, drivers: Mapping[str, DriverLike] | None = None, ego: str = "Ego"
 ) -> list[str]:
-    """Return sentences without full stop: what the simulator ignores or replaces, and what its agents override.
+    """Return sentences on what a simulator ignores or replaces in a scenario, and what its agents override.
 
-    Raises `InputError` if it refuses the scenario. Nothing is started.
+    The sentences have no full stop. Raises `InputError` if the simulator refuses the scenario. Nothing is started.
     """
     file, declared = ScenarioFile.read(scenario), SIMULATORS.get_class(simulator)
     given = {entity: resolve_driver(driver) for entity, driver in check_drivers(drivers).items()}

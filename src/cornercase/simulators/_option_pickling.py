@@ -1,4 +1,4 @@
-"""Send the options of a simulator, which may contain drivers of the user, to another process."""
+"""Pickling of a simulator's options, which may contain drivers of the user, to send them to another process."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ _DRIVER_REGISTRIES: Final[tuple[Registry[Any], ...]] = (DRIVERS, SENSORS, VEHICL
 
 @dataclass(frozen=True)
 class DriverSpec:
-    """Name of a driver (``"package.module:Class"`` with options), and the serialized driver that it must create."""
+    """Driver to send by name (``"package.module:Class"`` with options), and the serialized driver for comparison."""
 
     name: str
     description: str | dict[str, Any]
 
     @classmethod
     def from_driver(cls, driver: str | Driver) -> str | Driver | DriverSpec:
-        """Return what to send for a driver: its spec if it was created by class name, else the driver itself."""
+        """Return what to send for a driver: a `DriverSpec` if it was created by class name, else the driver itself."""
         name = user_driver_spec(driver)
         return driver if isinstance(driver, str) or name is None else cls(name, serialize_driver(driver))
 
     def create(self) -> Driver:
-        """Create the driver in this process; `InputError` if that fails, or if the driver differs from the sender's."""
+        """Create the driver in this process; `InputError` if this fails, or if the driver differs from the sender's."""
         driver = driver_by_name(self.name)
         if serialize_driver(driver) != self.description:
             raise InputError(
@@ -50,8 +50,8 @@ class DriverSpec:
 def pickle_simulator(simulator: str | type[Simulator], options: Mapping[str, Any]) -> bytes:
     """Pickle a simulator (name or class) and its options; drivers created by class name are sent as `DriverSpec`.
 
-    Names that this program registered itself are sent with what they stand for, and what the main script or a notebook
-    defines is sent by value. Raises `InputError` if a driver or another option cannot be pickled.
+    If this program registered the name itself, the registered class is sent too. Classes that the main script or a
+    notebook defines are sent by value. Raises `InputError` if a driver or another option cannot be pickled.
     """
     drivers = {
         entity: DriverSpec.from_driver(driver_spec)
@@ -72,7 +72,7 @@ def pickle_simulator(simulator: str | type[Simulator], options: Mapping[str, Any
 
 
 def unpickle_simulator(content: bytes) -> tuple[str | type[Simulator], dict[str, Any]]:
-    """Return the name or class of a simulator and its options.
+    """Return the name or class of a simulator and its options, from the bytes of `pickle_simulator`.
 
     The user's modules are also searched in the current folder. Raises `InputError` if a driver cannot be created.
     """
@@ -93,7 +93,7 @@ def _require_picklable(entity: str, driver: Any) -> None:
         reason = format_exception(error)
         raise InputError(
             f"`drivers` {entity}: the driver {cls.__module__}:{cls.__qualname__} cannot be sent to another process,"
-            f" which `workers`, `timeout` and `cluster` require: {culprit} cannot be pickled ({reason}). Create that in"
+            f" which `workers`, `timeout` and `cluster` require: {culprit} cannot be pickled ({reason}). Create it in"
             f" start(), give the class by name ({entity}=package.module:Class), or define __getstate__."
         ) from error
 

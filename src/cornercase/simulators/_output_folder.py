@@ -35,7 +35,7 @@ class PlannedRecording:
     concrete_scenario: ConcreteScenario
 
     def to_json(self) -> dict[str, Any]:
-        """Return the notes on the recording as plain values."""
+        """Return the notes on the recording (scenario, its fingerprint, parameter values) as plain JSON values."""
         values = {name: format_value(value) for name, value in self.concrete_scenario.values.items()}
         return {
             _SCENARIO_KEY: self.concrete_scenario.path.name,
@@ -46,8 +46,8 @@ class PlannedRecording:
 class RecordingsFolder:
     """A folder of recordings, with a file of notes on each recording.
 
-    `settings` are everything that recordings depend on besides their scenarios. Raises `InputError` if a file name is
-    taken, by another file or by a recording of another scenario or with other settings.
+    `settings` has everything besides the scenarios on which recordings depend. Raises `InputError` if a file name is
+    taken by another file, or by a recording of another scenario or with other settings.
     """
 
     def __init__(self, path: Path, planned: Sequence[PlannedRecording], settings: Mapping[str, object]) -> None:
@@ -69,7 +69,7 @@ class RecordingsFolder:
         }
 
     def path_of(self, file: str) -> Path:
-        """Return the path of a recording."""
+        """Return the path of a recording, given its file name."""
         return self._path / file
 
     def write_notes(self) -> None:

@@ -1,4 +1,4 @@
-"""Find out whether sensors draw random numbers, so that runs of a scenario with other seeds differ."""
+"""Search for sensors that draw random numbers, so that runs of a scenario with other seeds differ."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from cornercase.simulators._base import Simulator
 def find_random_sensors(
     simulator: Simulator, scenarios: Iterable[ScenarioFile], varied: Iterable[str] = ()
 ) -> tuple[str, ...]:
-    """Return the entities with random sensors; `varied` are the dimensions of a search, such as ``"Ego.noise"``."""
+    """Return the entities with random sensors; `varied` has the parameters of a search, such as ``"Ego.noise"``."""
     given = simulator.settings.get("drivers")
     drivers: dict[str, set[object]] = {}
     for scenario in scenarios:
@@ -38,7 +38,7 @@ def warn_if_runs_are_random(entities: Iterable[str], advice: str) -> None:
 
 
 def _equipment_text(description: object) -> str:
-    """Return a serialized driver with its equipment as text; only the equipment counts."""
+    """Return a text with the equipment, such as sensors, of a serialized driver; its driver name is a placeholder."""
     if isinstance(description, Mapping) and isinstance(equipment := description.get("equipment"), list | tuple):
         return SEPARATOR.join(["driver", *map(str, equipment)])
     return description if isinstance(description, str) else ""

@@ -28,7 +28,7 @@ def list_simulators() -> dict[str, Availability]:
     Returns
     -------
     dict of str to Availability
-        By name, including other packages' simulators. One that cannot be loaded is not available.
+        By name, including simulators of other packages. A simulator that cannot be loaded is not available.
 
     Examples
     --------

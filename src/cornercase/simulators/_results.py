@@ -1,4 +1,4 @@
-"""Get exactly one result per scenario from any simulator."""
+"""Exactly one result per scenario from any simulator, even if the simulator fails."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ def run_scenarios(simulator: Simulator, concretes: Sequence[ConcreteScenario]) -
 
 
 def with_values_to_pass(simulator: Simulator, concretes: Sequence[ConcreteScenario]) -> Sequence[ConcreteScenario]:
-    """Return scenarios in the form that a simulator requires: parameter values by name, or as in their file."""
+    """Return scenarios with the values that a simulator takes: all values, or only values other than in the file."""
     return (
         concretes if simulator.parameter_passing == "file" else [concrete.with_all_values() for concrete in concretes]
     )
 
 
 def run_scenarios_as_given(simulator: Simulator, concretes: Sequence[ConcreteScenario]) -> Iterator[Outcome]:
-    """Run scenarios like `run_scenarios`; their values must already be in the form that the simulator requires."""
+    """Run scenarios like `run_scenarios`; parameter values must already be in the form that the simulator requires."""
     results: Iterator[object] | None = None
     last = len(concretes) - 1
     for k in range(len(concretes)):
@@ -73,7 +73,7 @@ def check_simulator_accepts(
 ) -> None:
     """Raise `InputError` if a simulator refuses one of the scenarios, or can run none of the sample `concretes`."""
     with convert_plugin_errors(
-        f"The simulator '{simulator.name}'", get_simulator_class(simulator), "in require_means or require_runnable"
+        f"The simulator '{simulator.name}'", get_simulator_class(simulator), "in check_supported or check_runnable"
     ):
         for scenario in scenarios:
             simulator.check_supported(scenario)
@@ -82,13 +82,13 @@ def check_simulator_accepts(
 
 
 def find_refusals(simulator: Simulator, concretes: Sequence[ConcreteScenario]) -> dict[int, str]:
-    """Return, by index, why a simulator refuses scenarios with a file each; `InputError` if it refuses all of them."""
+    """Return the reasons why a simulator refuses scenarios, by index; `InputError` if all scenarios are refused."""
     if len(concretes) == 1:
         check_simulator_accepts(simulator, [concretes[0].load_file()], concretes)
         return {}
     refusals: dict[int, InputError] = {}
     with convert_plugin_errors(
-        f"The simulator '{simulator.name}'", get_simulator_class(simulator), "in require_means or require_runnable"
+        f"The simulator '{simulator.name}'", get_simulator_class(simulator), "in check_supported or check_runnable"
     ):
         for k, concrete in enumerate(concretes):
             try:
@@ -102,7 +102,7 @@ def find_refusals(simulator: Simulator, concretes: Sequence[ConcreteScenario]) -
 
 
 def describe_file_error(path: Path, error: InputError) -> str:
-    """Describe why a scenario file cannot be used, without the name of the file and a full stop."""
+    """Return why a scenario file cannot be used: an error's text without the file name and the full stop."""
     return remove_file_prefix(str(path), str(error)).removesuffix(".")
 
 
@@ -116,7 +116,7 @@ def list_ignored_content(
 
 
 def get_simulator_class(simulator: Simulator) -> type[Simulator]:
-    """Return the class of a simulator; of a simulator in other processes, the class that runs there."""
+    """Return the class of a simulator; for a `RemoteSimulator`, the class that runs in other processes."""
     return simulator.simulator_class if isinstance(simulator, RemoteSimulator) else type(simulator)
 
 

@@ -29,7 +29,7 @@ _MAX_NAMED_ENTITIES: Final = 3
 
 @dataclass
 class _FarEntity:
-    """Where an entity is far from every road in the first run in which it is, and in how many runs it is."""
+    """An entity that is far from every road in some runs: their number, and distance and time in the first run."""
 
     away: float
     time: float
@@ -38,14 +38,14 @@ class _FarEntity:
     runs: int = 0
 
     def describe(self, name: str, checked: str) -> str:
-        """Return a clause; `checked` says which runs were checked."""
+        """Return a clause of a warning; `checked` says which runs were checked, such as ``"40 runs"``."""
         where = f" of {self.label}" if self.label else ""
         more = f", and so in {self.runs - 1} more of {checked}" if self.runs > 1 else ""
         return f"{name} is {self.away:.0f} m from the nearest lane at {self.time:.2f} s{where}{more}"
 
 
 class RunNotices:
-    """Collects notices for the user during runs, and issues them as warnings at the end."""
+    """Collector of notices on runs, which are issued as warnings when all runs have ended."""
 
     def __init__(self, simulator: Simulator) -> None:
         self._duration = simulator.settings.get("duration")
@@ -54,9 +54,9 @@ class RunNotices:
         self._far_entities: dict[str, _FarEntity] = {}
 
     def add_run(self, recording: Recording, get_scenario: Callable[[], ScenarioFile], label: str = "") -> None:
-        """Check a recording; `get_scenario` returns its scenario, and is called only if the scenario is needed.
+        """Check the recording of a run; `get_scenario` is only called if the run's scenario is needed.
 
-        `label` names the run in messages, such as ``scenario 3``; empty if there is only one.
+        `label` names the run in messages, such as ``scenario 3``; empty for a single run.
         """
         self._n_runs += 1
         self._n_cut_off += recording.is_truncated is True
@@ -99,7 +99,7 @@ class RunNotices:
 
 
 def find_entities_far_from_roads(network: RoadNetwork, recording: Recording) -> list[tuple[str, float, float]]:
-    """List entities far from every road, once a second, as (name, distance in m, first time in s)."""
+    """List entities far from every road, checked once a second, as (name, distance in m, first such time in s)."""
     indices = [a for a, object_type in enumerate(recording.object_types) if object_type not in _UNCHECKED_TYPES]
     if not indices or len(recording.time) == 0:
         return []
@@ -116,9 +116,10 @@ def find_entities_far_from_roads(network: RoadNetwork, recording: Recording) -> 
 
 
 def driver_in_files(simulator: Simulator, scenarios: Iterable[ScenarioFile], ego: str) -> str | None:
-    """Return the driver that all scenarios name for the ego, or ``""`` if none does and the storyboard moves it.
+    """Return the driver that all scenario files name for the ego; ``""`` if no file does and the storyboard moves it.
 
-    None if that is unknown: they differ or may choose one while they run, or the simulator drives the ego itself.
+    None if the driver is unknown: the files name several drivers, a scenario may choose a driver during the run, or the
+    simulator drives the ego itself.
     """
     if simulator.name.partition(":")[0] != "builtin":
         return None

@@ -6,7 +6,7 @@ from cornercase._common.errors import InputError
 
 
 def worker_address(hosts: str, port: int, worker: int, port_step: int = 1) -> tuple[str, int]:
-    """Return host and port of the server that a worker uses alone.
+    """Return host and port of the server that only the worker process with the number `worker` uses.
 
     `hosts` are ``host`` or ``host:port``, separated by ``+``; workers use them in turn. `port` is the default port. On
     each host, the first worker uses this port, and each further worker a port that is `port_step` higher. Raises

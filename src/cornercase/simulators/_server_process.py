@@ -19,8 +19,8 @@ _START_ATTEMPTS: Final = 2
 class ServerProcess:
     """A server that is started by a command, in which ``{port}`` stands for its port.
 
-    `is_ready` tells whether the server answers. It has `start_timeout` s to do so, and is started again after
-    `restart_after` scenarios (0: never). `name` is that of the simulator in messages.
+    `is_ready` is a function that returns whether the server answers. The server must answer within `start_timeout` s,
+    and is started again after `restart_after` scenarios (0: never). Messages call the simulator `name`.
     """
 
     def __init__(
@@ -46,18 +46,18 @@ class ServerProcess:
 
     @property
     def n_starts(self) -> int:
-        """How often the server was started."""
+        """Number of times that the server was started."""
         return self._n_starts
 
     @property
     def is_running(self) -> bool:
-        """Whether it was started and has not ended."""
+        """Whether the server was started and has not ended."""
         return self._process is not None and self._process.poll() is None
 
     def prepare_scenario(self) -> bool:
-        """Start the server unless it runs and is not to be started again; return whether it was started.
+        """Start the server before a scenario if it does not run or has to be restarted; return whether it was started.
 
-        Raises `InputError` if it does not start the first time, `SimulatorError` later.
+        If the server does not start, raises `InputError` the first time, and `SimulatorError` later.
         """
         is_worn = 0 < self._restart_after <= self._n_scenarios
         if self._process is not None and (is_worn or self._process.poll() is not None):
@@ -84,7 +84,7 @@ class ServerProcess:
         self._n_starts, self._n_scenarios = self._n_starts + 1, 0
 
     def _try_to_start(self) -> str:
-        """Start the server and wait until it answers; return what went wrong, as a clause, or nothing."""
+        """Start the server and wait until it answers; return what went wrong, as a clause; empty if nothing."""
         self._log = tempfile.TemporaryFile()  # noqa: SIM115
         try:
             self._process = subprocess.Popen(
@@ -113,7 +113,7 @@ class ServerProcess:
         return f"; its last words: {printed[-1][:200]}" if printed else ""
 
     def describe_end(self) -> str:
-        """Return how the server that was started has ended, as a clause; empty while it runs, and if none was."""
+        """Return how the server has ended, as a clause; empty if it runs or was never started."""
         code = None if self._process is None else self._process.poll()
         return "" if code is None else f"{describe_exit_code(code)}{self._last_line()}"
 

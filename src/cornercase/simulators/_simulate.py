@@ -45,15 +45,15 @@ def simulate(
     values : mapping of str to float or str, optional
         Parameter values; others are taken from the file.
     time_step : float, default 0.05
-        In s.
+        Time step in s.
     duration : float, default 60
         Maximum duration in s.
     on_collision : {"continue", "stop"}, default "continue"
         Whether entities pass through each other, or the run ends. The file's own stop trigger holds either way.
     drivers : mapping of str to str, SystemUnderTest or Driver, optional
-        By entity: a name as on the command line, or a driver object. Overrides the file's controller properties.
+        Driver of each entity: a name as on the command line, or a driver object. Overrides the file's controllers.
     simulator : str or Simulator, default "builtin"
-        Such as ``Esmini(seed=3)``, or its name with options after a colon: ``"esmini:seed=3"``.
+        An object such as ``Esmini(seed=3)``, or a name with options after a colon: ``"esmini:seed=3"``.
     ego : str, default "Ego"
         Entity under test, for a simulator that needs to know it.
     timeout : float, optional

@@ -1,4 +1,4 @@
-"""Run many concrete scenarios, and write a recording of each into a folder."""
+"""Runs of many concrete scenarios, with a recording of each in a folder."""
 
 from __future__ import annotations
 
@@ -47,12 +47,13 @@ class SimulatedFolder:
     Attributes
     ----------
     folder : Path
+        Folder of the recordings.
     done : int
-        Number of their recordings in the folder.
+        Number of the scenarios' recordings in the folder.
     n_existing : int
         Number of recordings that existed before and were not made again.
     failures : mapping of str to str
-        Why recordings are missing, by file name.
+        Reasons why recordings are missing, by file name.
 
     Examples
     --------
@@ -100,19 +101,19 @@ def simulate_many(
 ) -> SimulatedFolder:
     """Run many concrete scenarios, and write a recording of each into a folder.
 
-    Each recording is written as soon as its scenario has ended. If you call it again, it runs the missing ones. Two
-    more files are written: ``simulation.json`` describes each recording, and ``parameters.csv`` has the values of all,
-    so that `cornercase.study.import_recordings` can read the folder.
+    Each recording is written as soon as its scenario has ended. A second call only runs scenarios without a
+    recording. Two more files are written: ``simulation.json`` describes each recording, and ``parameters.csv`` has the
+    parameter values of all recordings, so that `cornercase.study.import_recordings` can read the folder.
 
     Parameters
     ----------
     scenarios : path or ScenarioFile, or a sequence of them
-        OpenSCENARIO files: one with a table, or several without.
+        OpenSCENARIO files: a single file if there is a table, otherwise one or several files.
     folder : path
         Output folder. Without a table, each recording is named after its scenario.
     table : path, optional
         CSV file with one concrete scenario per line, and a column per parameter. A column ``file`` names the recordings
-        (``NAME.csv``); without it they are named after the scenario, with a number.
+        (``NAME.csv``); without this column, recordings are named after the scenario, with a number.
     values : mapping of str to float or str, optional
         Parameter values in all scenarios.
     ego : str, default "Ego"

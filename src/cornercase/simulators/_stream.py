@@ -1,4 +1,4 @@
-"""Submit scenarios one at a time, and receive results as soon as they are ready."""
+"""Execution of scenarios that are submitted one at a time; results are returned as soon as they are ready."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ class _WorkQueue:
 
 
 class SimulatorStream:
-    """Runs submitted work on the next free instance of a simulator, each instance in its own thread.
+    """Executor that runs submitted work on the next free instance of a simulator, each instance in its own thread.
 
-    `simulators` has simulators by name; the first one determines how many scenarios run in parallel. If a simulator has
-    no parallel instances, its work runs in the calling thread when a result is requested.
+    `simulators` has simulators by name; the first simulator determines how many scenarios run in parallel. If a
+    simulator has no parallel instances, its work runs in the calling thread when a result is requested.
     """
 
     def __init__(self, simulators: Mapping[str, Simulator]) -> None:
@@ -54,7 +54,7 @@ class SimulatorStream:
         return self._n_parallel
 
     def _start_threads(self, queue: _WorkQueue) -> int:
-        """Start threads for parallel instances of a simulator that have none yet; return the number of instances."""
+        """Start a thread for each parallel instance of a simulator without a thread; return the number of instances."""
         instances = queue.simulator.parallel_instances()
         for instance in instances[len(queue.threads) :]:
             thread = Thread(target=self._process_work, args=(queue.queue, instance), daemon=True)
@@ -72,16 +72,16 @@ class SimulatorStream:
                 self._results.put((key, None, error))
 
     def submit(self, key: int, work: SimulatorWork, name: str | None = None) -> None:
-        """Submit work under a key, for the simulator called `name` or the first one; it may run in another thread."""
-        desk = self._queues[self._first_name if name is None else name]
-        if desk.threads or self._start_threads(desk):
-            desk.queue.put((key, work))
+        """Submit work under a key, for the simulator called `name`, by default the first; may run in another thread."""
+        queue = self._queues[self._first_name if name is None else name]
+        if queue.threads or self._start_threads(queue):
+            queue.queue.put((key, work))
         else:
-            self._local_work.append((key, work, desk.simulator))
+            self._local_work.append((key, work, queue.simulator))
 
     @property
     def has_result(self) -> bool:
-        """Return whether a result is ready."""
+        """Whether the result of submitted work is ready."""
         return not self._results.empty()
 
     def wait_for_result(self, check: Callable[[], None]) -> tuple[int, Any]:
@@ -100,12 +100,12 @@ class SimulatorStream:
             return key, result
 
     def close(self) -> None:
-        """Cancel unfinished work; the simulators stay open."""
+        """Cancel unfinished work and end the threads; the simulators stay open."""
         self._closed = True
-        for desk in self._queues.values():
-            for _ in desk.threads:
-                desk.queue.put(None)
-        busy = [entry for desk in self._queues.values() for entry in desk.threads]
+        for queue in self._queues.values():
+            for _ in queue.threads:
+                queue.queue.put(None)
+        busy = [entry for queue in self._queues.values() for entry in queue.threads]
         deadline = time.monotonic() + _CANCEL_TIMEOUT
         while busy := [(thread, simulator) for thread, simulator in busy if thread.is_alive()]:
             if time.monotonic() > deadline:
