@@ -115,7 +115,7 @@ class WorkerProcess:
             self.deadline = time.monotonic() + self._timeout * len(self.remaining)
 
     def receive(self) -> WorkerMessage:
-        """Return the next message, None after the start; TimeoutError if late, EOFError or OSError if the process ended."""
+        """Return the next message, None after the start; TimeoutError if late, EOFError or OSError if ended."""
         if not self.connection.poll():
             action = f"end within {self._timeout:g} s" if self._is_started else f"start within {_START_TIMEOUT:g} s"
             raise TimeoutError(f"the simulator did not {action}")

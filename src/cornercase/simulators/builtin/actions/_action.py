@@ -39,7 +39,7 @@ class Action:
         return where.copy()
 
     def look_up_positions(self, world: World, where: BoolArray) -> None:
-        """Look up road positions that compiled code cannot look up, for the coming frame, in the scenarios of a mask."""
+        """Look up road positions that compiled code cannot look up, for the next frame, in the scenarios of a mask."""
 
     def release(self, world: World, where: BoolArray) -> None:
         """Let the entity move on without the action in the scenarios of a mask, because the action is ended early."""
