@@ -263,29 +263,29 @@ def test_what_names_do_not_say_is_listed(tmp_path):
     ("content", "says"),
     [
         ("[inputs", "is no TOML file"),
-        ("[ins]\na = 1", "has 'ins'; a map has the tables [inputs] and [outputs]"),
+        ("[ins]\na = 1", "has 'ins'; a map has only the tables [inputs] and [outputs]"),
         ('[inputs]\ngaap = "leader.gap"', "the FMU has no input 'gaap'; did you mean 'gap'?"),
-        ('[inputs]\ngap = "leader.gab"', "is to get 'leader.gab', which does not exist; did you mean 'leader.gap'?"),
+        ('[inputs]\ngap = "leader.gab"', "there is no quantity 'leader.gab'; did you mean 'leader.gap'?"),
         (
             '[inputs]\ngap = "path[10.5].z"',
-            "is to get 'path[10.5].z', which does not exist; did you mean 'path[10.5].y'?",
+            "there is no quantity 'path[10.5].z'; did you mean 'path[10.5].y'?",
         ),
-        ('[inputs]\ngap = "ego.lateral"', "is to get 'ego.lateral', which does not exist; did you mean 'ego.offset'?"),
+        ('[inputs]\ngap = "ego.lateral"', "there is no quantity 'ego.lateral'; did you mean 'ego.offset'?"),
         ('[inputs]\ngap = "lane[-1].widht"', "did you mean 'lane[-1].width'?"),
         ('[inputs]\ngap = "object[0].x"', "did you mean 'object[1].x'?"),
         ('[inputs]\ngap = "path[10].curvature"', "'gap' has the unit 'm', which does not fit 1/m"),
         ('[inputs]\ngap = "leader.speed"', "input 'gap': 'gap' has the unit 'm', which does not fit m/s"),
         ('[inputs]\ngap = { from = "leader.gap", unit = "km" }', "has the unit 'km', but the FMU says 'm'"),
-        ('[inputs]\ngap = { from = "leader.gap", unit = "furlong" }', "has the unit 'furlong'; known are"),
+        ('[inputs]\ngap = { from = "leader.gap", unit = "furlong" }', "has the unknown unit 'furlong'; known are"),
         ('[inputs]\ngap = { from = "leader.gap", factor = 0 }', "`factor` is 0; give a number other than 0"),
         ('[inputs]\ngap = { from = "leader.gap", none = "far" }', "`none` is 'far'; give a number"),
         ('[inputs]\ngap = { form = "leader.gap" }', "give a name, as in"),
-        ('[inputs]\ngap = { from = "leader.gap", scale = 2 }', "has the key 'scale'"),
-        ('[inputs]\ngap = "object.gap"', "is to get 'object.gap', which does not exist"),
+        ('[inputs]\ngap = { from = "leader.gap", scale = 2 }', "has the unknown key 'scale'"),
+        ('[inputs]\ngap = "object.gap"', "there is no quantity 'object.gap'"),
         ('[outputs]\nspeed = "acceleration"', "there is no decision 'speed'"),
         ('[outputs]\nacceleration = "acc"', "the FMU has no output 'acc'; known are: acceleration."),
         ('[outputs]\nsteering = "acceleration"', "'acceleration' has the unit 'm/s2', which does not fit rad"),
-        ("[outputs]", "none of its outputs (acceleration) is known as one of"),
+        ("[outputs]", "none of the outputs (acceleration) is recognized as a decision"),
     ],
 )
 def test_a_bad_map_gives_a_sentence(folder, tmp_path, content, says):
@@ -301,10 +301,10 @@ def test_a_bad_map_gives_a_sentence(folder, tmp_path, content, says):
         ({"units": {"gap": "kg"}}, "'gap' has the unit 'kg', whose meaning the FMU does not define"),
         ({"units": {"gap": "furlong"}}, "'gap' has the unit 'furlong', whose meaning the FMU does not define"),
         ({"units": {"gap": "m/s"}}, "'gap' has the unit 'm/s', which does not fit m"),
-        ({"rename": {"acceleration": "torque"}}, "none of its outputs (torque) is known as one of"),
+        ({"rename": {"acceleration": "torque"}}, "none of the outputs (torque) is recognized as a decision"),
         (
             {"rename": {"acceleration": "lane_change"}, "units": {"acceleration": ""}},
-            "its outputs decide lane_change, but neither the acceleration nor throttle and brake, which a driver has to",
+            "the outputs decide lane_change, but a driver must also decide the acceleration, or throttle and brake",
         ),
     ],
 )
@@ -319,7 +319,7 @@ def test_an_fmu_that_does_not_say_what_it_means_gives_a_sentence(tmp_path, chang
     ("options", "says"),
     [
         (":reactoin=1", "the FMU has no parameter 'reactoin'; did you mean 'reaction'?"),
-        (":gap=1", "'gap' is no parameter of the FMU, but of kind input"),
+        (":gap=1", "'gap' is not a parameter of the FMU; its causality is input"),
         (":fault=0.5", "the parameter 'fault' is a Integer, not '0.5'"),
         (":reaction=soon", "the parameter 'reaction' is a Real, not 'soon'"),
         (":reaction", "has the option 'reaction' without a name or value"),
@@ -343,7 +343,7 @@ def test_files_that_are_no_such_fmu_give_a_sentence(tmp_path):
         FmuDriver(str(tmp_path / "text.fmu"))
     with pytest.raises(cc.InputError, match="cannot be read"):
         FmuDriver(str(tmp_path / "nowhere.fmu"))
-    with pytest.raises(cc.InputError, match=r"has no library for .*, but source code at most"):
+    with pytest.raises(cc.InputError, match=r"has no library for .*, nor for another platform"):
         drive(FmuDriver(str(make_fmu(tmp_path / "source.fmu", library=False))))
     with pytest.raises(cc.InputError, match="names no FMU; give its file"):
         DRIVERS.create("fmu")

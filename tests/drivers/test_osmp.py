@@ -307,8 +307,8 @@ def test_it_is_told_how_its_views_are(tmp_path):
 
 
 ANSWERS = {
-    1: r"its TrafficUpdate is of 1, not of the host with the id 0",
-    2: r"its message is no TrafficUpdate of OSI",
+    1: r"its TrafficUpdate has the ids 1, but not the id 0 of the driven vehicle",
+    2: r"its message is not an OSI TrafficUpdate",
     4: r"its TrafficUpdate cannot be driven: it has neither a position nor an acceleration",
 }
 
@@ -340,7 +340,7 @@ VIEW_VARIABLES = message_variables("OSMPSensorViewIn", "SensorView", "input", 0)
         (VIEW_VARIABLES.replace('role="base.hi"', 'role="base.lo"'), "has the parts base.lo, base.lo, size; it needs"),
         (VIEW_VARIABLES.replace("type=SensorView", "type=SensorData", 1), "have different MIME types"),
         (VIEW_VARIABLES.replace('"input"', '"output"', 1), "have to be integers of the same causality"),
-        (VIEW_VARIABLES, "lane_change, and it writes neither a TrafficUpdate nor a MotionRequest; say in a map"),
+        (VIEW_VARIABLES, "lane_change), and the FMU writes neither a TrafficUpdate nor a MotionRequest; say in a map"),
     ],
 )
 def test_an_fmu_against_the_standard_gives_a_sentence(tmp_path, variables, says):
@@ -357,7 +357,7 @@ def test_without_the_extra_a_sentence_names_it(folder, monkeypatch):
 
 def test_a_map_may_decide_instead(folder, tmp_path):
     (tmp_path / "map.toml").write_text("[outputs]\n")
-    with pytest.raises(cc.InputError, match="none of its outputs"):
+    with pytest.raises(cc.InputError, match="none of the outputs"):
         FmuDriver(str(folder / "update.fmu"), map=str(tmp_path / "map.toml"))
 
 

@@ -1,4 +1,4 @@
-"""A driver that asks an FMU what to do."""
+"""Driver whose decisions are made by an FMU (functional mock-up unit)."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ _Scalar = bool | int | float | str
 
 
 class FmuDriver(DrivingFunction):
-    """Drives by a functional mock-up unit (FMI 2.0 or 3.0, co-simulation).
+    """Driver whose decisions are made by a functional mock-up unit (FMI 2.0 or 3.0, co-simulation).
 
-    Each concrete scenario has an instance of its own. The instances run in processes of their own, so that a crash of
+    Each concrete scenario has its own instance of the FMU. The instances run in separate processes, so that a crash of
     the FMU fails only the scenario at fault.
 
     Parameters
@@ -45,22 +45,22 @@ class FmuDriver(DrivingFunction):
     file : str
         Path of the FMU.
     map : str, optional
-        TOML file that says what its inputs are given and what its outputs decide; without one, names and units of its
-        variables say it.
+        TOML file that maps quantities of the traffic to the FMU's inputs, and the FMU's outputs to decisions. Without a
+        file, the mapping follows from the names and units of the FMU's variables.
     step : float, optional
-        Size of its steps in s, by which the time step of the simulator can be divided; by default that of the FMU, or
-        else the time step of the simulator.
+        Size of the FMU's steps in s; the time step of the simulator must be a multiple of it. By default the step size
+        that the FMU declares, or the time step of the simulator if the FMU declares none.
     timeout : float, optional
         Longest time in s that a call of the FMU may take.
     mutations : str, optional
-        TOML file that says how far its parameters may be off, for mutation testing.
+        TOML file with the changes of the FMU's parameters that mutation testing tries.
     **parameters
-        Parameters of the FMU by name, in its units.
+        Parameters of the FMU by name, in the units of the FMU.
 
     Raises
     ------
     InputError
-        The file is no such FMU, a parameter does not exist, or the map does not fit.
+        The file is not an FMU for co-simulation, a parameter does not exist, or the map does not fit the FMU.
 
     Examples
     --------
@@ -109,12 +109,14 @@ class FmuDriver(DrivingFunction):
         return f"fmu:{self._file}:{text}" if text else f"fmu:{self._file}"
 
     def spec_with(self, changes: Mapping[str, float]) -> str:
-        """Return the text that stands for it with other values of some parameters; integers are rounded.
+        """Return the driver's text, such as ``fmu:aeb.fmu:reaction=0.3``, with other values of some parameters.
+
+        Values of parameters that are integers are rounded.
 
         Parameters
         ----------
         changes : mapping of str to float
-            By name.
+            New values by name of the parameter.
 
         Returns
         -------
@@ -127,7 +129,7 @@ class FmuDriver(DrivingFunction):
         return self._format({**given_options(self), **{name: f"{value:g}" for name, value in rounded.items()}})
 
     def __getstate__(self) -> dict[str, Any]:
-        # The receiver starts processes of its own.
+        # The process that unpickles the driver starts its own FMU processes.
         return vars(self) | {"_processes": None}
 
     @property
@@ -136,12 +138,12 @@ class FmuDriver(DrivingFunction):
         return {variable.name: variable.start for variable in self._model.with_causality("parameter")}
 
     def numeric_parameters(self) -> dict[str, float]:
-        """Return the FMU's parameters that take numbers; they can be dimensions of a search.
+        """Return the FMU's numeric parameters, which can be dimensions of a search.
 
         Returns
         -------
         dict of str to float
-            Their values: those given, else the FMU's start values.
+            Values by name: the value given to this driver, or else the FMU's start value.
         """
         return {
             variable.name: float(self._parameters.get(variable.name, variable.start or 0.0))
@@ -150,12 +152,12 @@ class FmuDriver(DrivingFunction):
         }
 
     def describe(self) -> Sequence[str]:
-        """Return lines that say what each variable of the FMU is used for.
+        """Return lines of text that name the use of each variable of the FMU.
 
         Returns
         -------
         sequence of str
-            One for each variable, also for those that are not used.
+            One line per variable, also for unused variables.
         """
         return [
             f"{variable.causality} {variable.name}{f' [{variable.unit}]' if variable.unit else ''}:"
@@ -165,12 +167,12 @@ class FmuDriver(DrivingFunction):
         ]
 
     def variables(self) -> tuple[MappedVariable, ...]:
-        """Return what each variable of the FMU is used for.
+        """Return all variables of the FMU, each with its use by this driver.
 
         Returns
         -------
         tuple of MappedVariable
-            Inputs, outputs and parameters; `MappedVariable.source` is empty for those that are not used.
+            Inputs, outputs and parameters; `MappedVariable.source` is empty for unused variables.
         """
         parameters = []
         for variable in self._model.with_causality("parameter"):
@@ -181,12 +183,12 @@ class FmuDriver(DrivingFunction):
         return (*self._map.listing, *parameters)
 
     def prepare(self, start: Start) -> None:
-        """Load the FMU for a batch.
+        """Load the FMU for a batch (scenarios that run together).
 
         Parameters
         ----------
         start : Start
-            Its parameters are parameters of the FMU.
+            Description of the batch; `Start.parameters` holds parameters of the FMU.
         """
         self._start = start
         self._display_name = f"the driver of {quote_name(start.body.name)} ({remove_folders(str(self))})"
@@ -220,12 +222,12 @@ class FmuDriver(DrivingFunction):
             self._failure = str(error)
 
     def decide(self, situation: Situation) -> Controls:
-        """Let the FMU decide, in all active scenarios.
+        """Do a time step of the FMU in all active scenarios, and return its decisions.
 
         Parameters
         ----------
         situation : Situation
-            What its inputs are made from.
+            State of the traffic, from which the FMU's inputs are computed.
 
         Returns
         -------
@@ -241,7 +243,7 @@ class FmuDriver(DrivingFunction):
             failed = self._processes.step(situation.active, inputs, messages)
         except FmuProcessError as error:
             if n > 1:
-                # Smaller batches find out in which scenario.
+                # The caller tries smaller batches, to find the scenario at fault.
                 raise
             self._failure = str(error)
             return self._fail_all(self._failure, situation)
@@ -257,7 +259,7 @@ class FmuDriver(DrivingFunction):
         return replace(controls, trajectories=trajectories, failures=self._failures(failed, situation.time))
 
     def release(self) -> None:
-        """End the batch; the processes stay for the next one."""
+        """End the batch; the FMU's processes stay ready for the next batch."""
         if self._processes is not None:
             self._processes.end_batch()
 
@@ -275,7 +277,7 @@ class FmuDriver(DrivingFunction):
     def _find_unusable(
         self, decisions: Mapping[str, FloatArray], active: BoolArray, failed: Mapping[int, str]
     ) -> dict[int, str]:
-        """Return by scenario what is wrong with its decisions."""
+        """Clip decisions to their ranges in place; return, by scenario, errors of decisions that are not usable."""
         unusable: dict[int, str] = {}
         for output in self._map.outputs:
             values = decisions[output.decision]
@@ -301,7 +303,7 @@ class FmuDriver(DrivingFunction):
         acceleration: FloatArray,
         trajectories: dict[int, Trajectory],
     ) -> dict[int, str]:
-        """Add what the messages of the FMU say; return by scenario what is wrong with them."""
+        """Store motion from the FMU's OSI messages in `acceleration` and `trajectories`; return errors by scenario."""
         assert self._processes is not None
         assert self._traffic is not None
         unusable: dict[int, str] = {}
@@ -321,14 +323,15 @@ class FmuDriver(DrivingFunction):
         return unusable
 
     def _divide_time_step(self, time_step: float) -> tuple[float, int]:
-        """Return the size of the FMU's steps, and their number in a time step of the simulator."""
+        """Return the size of the FMU's steps in s, and the number of FMU steps in a time step of the simulator."""
         own = self._model.step_size
         if self.step is None and own and self._messages.motion is not None:
-            # Where it goes is counted from a message, which is new in each time step of the simulator only.
+            # The FMU moves relative to an OSI message, which is new only once per time step of the simulator.
             if not self._model.can_vary_step and abs(own - time_step) > _ROUNDING * time_step:
                 raise InputError(
-                    f"{self._model.path.name}: the FMU has steps of {own:g} s, and needs new OSI messages in each; give"
-                    f" the simulator the time step {own:g}, or `step={own:g}` if it moves on by itself in between."
+                    f"{self._model.path.name}: the FMU has steps of {own:g} s, and needs new OSI messages in each step;"
+                    f" set the simulator's time step to {own:g} s, or give `step={own:g}` if the FMU can do several"
+                    " steps with the same messages."
                 )
             own = None
         size = self.step or own or time_step
@@ -336,8 +339,8 @@ class FmuDriver(DrivingFunction):
         if count < 1 or abs(count * size - time_step) > _ROUNDING * time_step:
             whose = "the option `step`" if self.step else "the FMU's own step size"
             raise InputError(
-                f"{self._model.path.name}: {whose}, {size:g} s, does not divide the time step of {time_step:g} s; give"
-                " `step`, or another time step to the simulator."
+                f"{self._model.path.name}: {whose}, {size:g} s, does not divide the time step of {time_step:g} s;"
+                " change `step`, or the time step of the simulator."
             )
         return time_step / count, count
 
@@ -347,7 +350,7 @@ class FmuDriver(DrivingFunction):
             if name in self._model.by_name:
                 causality = self._model.by_name[name].causality
                 raise InputError(
-                    f"{self._model.path.name}: '{name}' is no parameter of the FMU, but of kind {causality}."
+                    f"{self._model.path.name}: '{name}' is not a parameter of the FMU; its causality is {causality}."
                 )
             hint = suggest_name(name, [*parameters, "map", "step", "timeout", "mutations"])
             raise InputError(f"{self._model.path.name}: the FMU has no parameter '{name}'; {hint}")
@@ -383,7 +386,7 @@ class FmuDriver(DrivingFunction):
 
 
 def fmu_from_text(text: str = "", /) -> FmuDriver:
-    """An FMU of FMI 2.0 or 3.0, as in ``fmu:controller.fmu:map=aeb.toml,reaction=0.3``."""
+    """Driver that is an FMU of FMI 2.0 or 3.0, given as in ``fmu:controller.fmu:map=aeb.toml,reaction=0.3``."""
     match = _SPEC.fullmatch(text)
     if match is None:
         raise InputError(f"The driver 'fmu:{text}' names no FMU; give its file as in 'fmu:controller.fmu:option=1'.")

@@ -1,6 +1,6 @@
-"""A small process with the instances of an FMU, one per scenario; values come and go through shared memory.
+"""Child process that runs the instances of an FMU, one per scenario; values are exchanged through shared memory.
 
-Nothing big is imported, so that the process starts within a moment.
+Only small modules are imported, so that the process starts quickly.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from cornercase.drivers.fmu._instance import C_TYPES, FATAL, WARNING, Fmu, FmuEr
 from cornercase.drivers.fmu._osmp_buffers import MessageBuffers, pass_message, read_message
 
 PROGRESS_BYTES: Final = 16
-"""Beginning of the shared memory: a count that grows with each call of the FMU, and the scenario that is stepped."""
+"""Size of the header of the shared memory: a counter that grows with each call of the FMU, and the current scenario."""
 _MAX_LINES: Final = 20
-# Time in s between two looks for the parent.
+# Time in s between two checks that the parent process is alive.
 _LIFE_INTERVAL: Final = 1.0
 
 
 class _Table:
-    """Variables of one type in the shared memory: a row per scenario."""
+    """Table of FMU variables of one type in the shared memory, with a row per scenario."""
 
     def __init__(self, fmu: Fmu, verb: str, kind: str, references: list[int], width: int, address: int) -> None:
         self.name, self._fmu = f"{verb}{kind}", fmu
@@ -39,11 +39,11 @@ class _Table:
         self._stride = width * ctypes.sizeof(C_TYPES[fmu.version][kind])
         self._address = address
         self._tail = (c_size_t(width),) if fmu.version == 3 else ()
-        # A library without this function is told at the start of the batch.
+        # Raises an error at the start of the batch if the library has no such function.
         self.bind(0, 0)
 
     def bind(self, component: int, row: int) -> Callable[[], int]:
-        """Return the call that passes a row to an instance, or back."""
+        """Return a prepared C call that copies a scenario's row to an FMU instance (Set) or from it (Get)."""
         references, values = ctypes.addressof(self._references), self._address + row * self._stride
         pointers = c_void_p(component), c_void_p(references), c_size_t(len(self._references)), c_void_p(values)
         return self._fmu.bind(self.name, *pointers, *self._tail)
@@ -56,7 +56,7 @@ class _Table:
 
 
 class Host:
-    """The instances of an FMU for the scenarios of a batch."""
+    """Runner of an FMU in its child process: one instance per scenario of a batch (scenarios that run together)."""
 
     def __init__(self, fmu: Fmu) -> None:
         self._fmu = fmu
@@ -64,16 +64,16 @@ class Host:
         self._lines: deque[str] = deque(maxlen=_MAX_LINES)
         self._idle: list[Instance] = []
         self._instances: list[Instance | None] = []
-        # Messages of OSI that each scenario has written in the last step.
+        # OSI messages that the FMU wrote in the last step, by scenario.
         self._written: list[list[bytes]] = []
 
     def _log(self, line: str) -> None:
         self._lines.append(line)
-        # Read if this process does not survive.
+        # Also to stderr, which is read if this process crashes.
         print(line, file=sys.stderr, flush=True)
 
     def begin(self, message: dict[str, Any]) -> None:
-        """Begin a batch; the message tells the layout of the shared memory, parameters, steps."""
+        """Begin a batch; `message` holds the layout of the shared memory, parameters, and the size of steps."""
         with Path(message["memory"]).open("r+b") as file:
             self._memory = mmap.mmap(file.fileno(), 0)
         base = ctypes.addressof(ctypes.c_char.from_buffer(self._memory))
@@ -94,34 +94,34 @@ class Host:
         self._written = [[b""] * len(self._message_outputs) for _ in range(n)]
         self._size, self._n_steps = message["step"], message["steps"]
         self._instances, self._steps = [None] * n, [0] * n
-        # Calls by scenario that pass its inputs and outputs, with their names, and that step it from a time.
+        # By scenario: named calls that set inputs and get outputs, and the call that does a step from `_time`.
         self._setters, self._getters = ([list[tuple[str, Callable[[], int]]]() for _ in range(n)] for _ in range(2))
         self._steppers: list[Callable[[], None]] = [lambda: None] * n
         self._time = c_double()
         self._failed: set[int] = set()
-        # Inputs and outputs of one scenario, to find out whether a reset gives the same bytes.
+        # Inputs, messages and outputs of one scenario, to check that an instance repeats the same bytes after a reset.
         self._is_reset_known = message["reset"] is not None
         self._recorded_row, self._recorded = -1, list[tuple[list[bytes], list[bytes], list[bytes]]]()
 
     def receive_messages(self, stream: BinaryIO) -> None:
-        """Read the messages for the next step: all sizes, scenario by scenario, and then all bytes."""
+        """Read the OSI messages for the next step: the sizes of all messages by scenario, then all bytes."""
         n, count = len(self._buffers), self._n_messages
         if not count:
             return
         sizes = iter((c_uint32 * (n * count)).from_buffer_copy(stream.read(4 * n * count)))
         for buffers, is_active in zip(self._buffers, self._active, strict=True):
             messages = [stream.read(next(sizes)) for _ in range(count)]
-            # What a scenario was given in its own last step stays.
+            # An inactive scenario keeps the messages of its last step.
             if is_active:
                 buffers.replace(messages)
 
     def written_messages(self) -> bytes:
-        """Return the messages of the last step, in the form of `receive_messages`."""
+        """Return the OSI messages that the FMU wrote in the last step: the sizes of all messages, then all bytes."""
         messages = [message for row in self._written for message in row]
         return bytes((c_uint32 * len(messages))(*map(len, messages))) + b"".join(messages)
 
     def step(self) -> dict[int, tuple[str, list[str], bool]]:
-        """Step the active scenarios; return by scenario what failed, the lines of the log, and whether it is fatal."""
+        """Step the active scenarios; return, by failed scenario: the error, the log lines, and whether it is fatal."""
         failures: dict[int, tuple[str, list[str], bool]] = {}
         for row, is_active in enumerate(bytes(self._active)):
             if not is_active or row in self._failed:
@@ -150,7 +150,7 @@ class Host:
             self._recorded.append((inputs, self._buffers[row].newest, self._read_row(row)))
 
     def _read_row(self, row: int) -> list[bytes]:
-        """Return all that a scenario has decided in the last step."""
+        """Return all outputs and OSI messages of a scenario after the last step, as bytes."""
         return [*(table.read_row(row) for table in self._outputs), *self._written[row]]
 
     def _set_up(self, row: int) -> Instance:
@@ -201,11 +201,11 @@ class Host:
             step()
 
     def end(self, reset: bool | None) -> bool | None:
-        """End a batch; return whether instances may be reset, or None as long as that is not known."""
+        """End a batch; return whether instances can be reused after a reset, or None while this is unknown."""
         running = [instance for instance in self._instances if instance is not None]
         recorded = self._instances[self._recorded_row] if self._recorded else None
         if reset is None and recorded is not None:
-            # The last one has driven another scenario, and must not remember it either.
+            # The last instance has driven another scenario, which must not influence it after a reset.
             checked = [recorded] if running[-1] is recorded else [recorded, running[-1]]
             reset = all(self._is_repeated_after_reset(instance) for instance in checked)
         for instance in running:
@@ -237,11 +237,11 @@ class Host:
 
 
 def main() -> None:
-    """Serve requests, one per line of the standard input: an empty line is a step, all others are JSON.
+    """Answer requests from the standard input, one per line: an empty line asks for a step, other lines are JSON.
 
-    Messages of OSI follow the line, in both directions.
+    In a step, OSI messages in binary form follow the line of the request and the line of the answer.
     """
-    # What the FMU prints must not come between the answers, nor must it read the requests.
+    # The FMU must neither print between the answers nor read the requests.
     requests, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     with open(os.devnull, "rb") as nothing:
@@ -261,7 +261,7 @@ def main() -> None:
                 message = json.loads(line)
                 if message["do"] == "load":
                     source = FmuSource(**message["source"])
-                    # Some libraries look for others here.
+                    # Some libraries look for other libraries in the current folder.
                     os.chdir(Path(source.library).parent)
                     host = Host(Fmu(source))
                 else:

@@ -1,4 +1,4 @@
-"""What an FMU may be given about the traffic: quantities by name, for all scenarios of a batch at once."""
+"""Quantities of the traffic that an FMU's inputs can be given, by name, computed for a whole batch of scenarios."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _FAST: Final = 100.0
 
 
 class Traffic:
-    """The situation of N scenarios, with the A others sorted by their distance."""
+    """Traffic around the ego in N scenarios, with access to the A other entities in the order of their distance."""
 
     def __init__(self, situation: Situation, body: Body, network: RoadNetwork | None = None) -> None:
         self.situation, self.body, self.shared = situation, body, SharedView(situation, network)
@@ -33,12 +33,12 @@ class Traffic:
 
     @cached_property
     def _order(self) -> IntArray:
-        """Others from the nearest on, those that do not exist last, (N, A)."""
+        """Indices of the others by increasing distance, shape (N, A); others that do not exist come last."""
         x, y, _ = self.shared.relative
         return np.argsort(np.hypot(x, y), axis=1, kind="stable")
 
     def field(self, name: str) -> FloatArray:
-        """Return what is known about the others, sorted, (N, A); NaN for those that do not exist."""
+        """Return a property of the others, such as ``"gap"``, nearest first, shape (N, A); NaN if there is none."""
         if name not in self._fields:
             values: FloatArray = np.take_along_axis(_OTHER_FIELDS[name](self), self._order, axis=1)
             self._fields[name] = values
@@ -49,12 +49,12 @@ class Traffic:
         return {}
 
     def of_rank(self, name: str, rank: int) -> FloatArray:
-        """Return what is known about the other with a rank, the nearest having 0, (N,); NaN where there is none."""
+        """Return a property of another entity by its rank in distance (0: nearest), shape (N,); NaN if none."""
         values = self.field(name)
         return values[:, rank] if rank < values.shape[1] else np.full(len(values), np.nan)
 
     def of_leader(self, name: str) -> FloatArray:
-        """Return what is known about the leader, (N,); NaN where there is none."""
+        """Return a property of the leader (entity ahead in the ego's path), shape (N,); NaN if there is none."""
         leader, values = self.shared.leader, _OTHER_FIELDS[name](self)
         if not values.shape[1]:
             return np.full(len(values), np.nan)
@@ -62,22 +62,22 @@ class Traffic:
         return of_leader
 
     def of_path(self, field: str, ahead: float) -> FloatArray:
-        """Return what is known about the point of the path at a distance ahead, (N,)."""
+        """Return a property of the point of the path `ahead` m ahead of the ego, such as ``"x"``, shape (N,)."""
         if ahead not in self._path_points:
             self._path_points[ahead] = tuple(self.shared.path_points(np.array([ahead])))
         return self._path_points[ahead][[*_PATH_UNITS].index(field)][:, 0]
 
     def of_lane(self, field: str, number: int) -> FloatArray:
-        """Return what is known about a lane, the ego's own having number 0, (N,); NaN where there is none."""
+        """Return a property of a lane by its number (0: the ego's lane), such as ``"width"``, shape (N,)."""
         return self._per_scenario(lambda view: _LANE_FIELDS[field](_find_lane(view, number)))
 
     def of_signal(self, field: str) -> FloatArray:
-        """Return what is known about the next signal along the path, (N,); NaN where there is none."""
+        """Return a property of the next traffic signal along the path, such as ``"gap"`` or ``"state"``, shape (N,)."""
         return self._per_scenario(lambda view: _SIGNAL_FIELDS[field](_next_signal(view)))
 
     @cached_property
     def speed_limit(self) -> FloatArray:
-        """Speed limit of the ego's lane, (N,)."""
+        """Speed limit of the ego's lane in m/s, shape (N,) for N scenarios."""
         return self._per_scenario(lambda view: view.speed_limit)
 
     def _per_scenario(self, compute: Callable[[View], float]) -> FloatArray:
@@ -88,16 +88,16 @@ class Traffic:
 
     @property
     def exists(self) -> FloatArray:
-        """1 for the others that exist, NaN for all others, (N, A)."""
+        """1 for each of the A other entities that exists in a scenario, NaN if it does not, shape (N, A)."""
         return np.where(np.isnan(self.situation.others_x), np.nan, 1.0)
 
 
 @dataclass(frozen=True)
 class InputQuantity:
-    """Something that an FMU may be given.
+    """Quantity of the traffic that an input of an FMU can be given, such as the gap to the leader.
 
-    `unit` is that of SI. `none` is what stands for it where it does not exist, as the speed of a leader without one.
-    `compute` returns it, (N,), with NaN or infinity where it does not exist.
+    `unit` is an SI unit. `compute` returns the values in N scenarios, shape (N,); NaN or infinity in scenarios without
+    the quantity. The FMU is then given `none`.
     """
 
     name: str
@@ -148,7 +148,7 @@ _OTHER_FIELDS: Final[Mapping[str, Callable[[Traffic], FloatArray]]] = {
     "in_path": _in_path,
     "type": _type_codes,
 }
-# Unit, and what stands for it without such an object.
+# Unit, and value that an FMU is given if there is no such object.
 _OTHER_UNITS: Final[Mapping[str, tuple[str, float]]] = {
     "exists": ("1", 0.0),
     "x": ("m", _FAR),
@@ -165,7 +165,7 @@ _OTHER_UNITS: Final[Mapping[str, tuple[str, float]]] = {
     "type": ("1", 0.0),
 }
 
-# Of a point of the path: units, in the order of `SharedView.path_points`.
+# Units of the properties of a point of the path, in the order of `SharedView.path_points`.
 _PATH_UNITS: Final[Mapping[str, str]] = {"x": "m", "y": "m", "heading": "rad", "curvature": "1/m"}
 _STATE_CODES: Final = {"red": 1.0, "yellow": 2.0, "amber": 2.0, "green": 3.0}
 _LANE_FIELDS: Final[Mapping[str, Callable[[LaneView | None], float]]] = {
@@ -181,7 +181,7 @@ _SIGNAL_FIELDS: Final[Mapping[str, Callable[[SignalView | None], float]]] = {
     "gap": lambda signal: np.nan if signal is None else signal.gap,
     "state": lambda signal: np.nan if signal is None else _STATE_CODES.get(signal.state.casefold(), 0.0),
 }
-# As of the others.
+# Unit, and value that an FMU is given if there is no such lane or signal.
 _LANE_UNITS: Final[Mapping[str, tuple[str, float]]] = {
     "exists": ("1", 0.0),
     "same_direction": ("1", 0.0),
@@ -255,7 +255,7 @@ _ROAD: Final = (
     ),
 )
 QUANTITIES: Final[Mapping[str, InputQuantity]] = {quantity.name: quantity for quantity in (*_EGO, *_LEADER, *_ROAD)}
-"""Quantities by name, without those with a number in brackets."""
+"""Quantities by name, except names with a number in brackets, such as ``object[1].x``."""
 _PATH_NAME: Final = re.compile(r"path\[(-?\d{1,4}(?:\.\d{1,6})?)\]\.(\w+)")
 _LANE_NAME: Final = re.compile(r"lane\[(-?\d{1,2})\]\.(\w+)")
 _OBJECT_NAME: Final = re.compile(r"object\[([1-9]\d{0,2})\]\.(\w+)")
@@ -263,7 +263,7 @@ _OBJECT_ARRAY: Final = re.compile(r"object\.(\w+)")
 
 
 def find_quantity(name: str) -> InputQuantity | None:
-    """Return a quantity by its name, such as ``"ego.speed"`` or ``"object[1].x"``."""
+    """Return the quantity with a name such as ``"ego.speed"`` or ``"object[1].x"``; None if there is none."""
     if (match := _OBJECT_NAME.fullmatch(name)) is not None and match[2] in _OTHER_UNITS:
         unit, none = _OTHER_UNITS[match[2]]
         return InputQuantity(name, unit, none, partial(_of_rank, match[2], int(match[1]) - 1))
@@ -276,7 +276,7 @@ def find_quantity(name: str) -> InputQuantity | None:
 
 
 def find_quantities(name: str, count: int) -> list[InputQuantity] | None:
-    """Return the quantities of an array by its name, such as ``"object.x"``, from the nearest object on."""
+    """Return a quantity such as ``"object.x"`` of each of the `count` nearest objects; None if the name is unknown."""
     match = _OBJECT_ARRAY.fullmatch(name)
     if match is None or match[1] not in _OTHER_UNITS:
         return None
@@ -285,11 +285,11 @@ def find_quantities(name: str, count: int) -> list[InputQuantity] | None:
 
 
 def suggest_quantity(unknown: str) -> str:
-    """Return a hint for the name of a quantity that does not exist."""
+    """Return a hint for an error message about an unknown quantity: the name that was meant, or all known names."""
     meant = recognize_input(unknown, is_array=False)
     if meant is not None and find_quantity(meant) is not None:
         return f"did you mean '{meant}'?"
-    # With the number that is given, where there can be such a one.
+    # Names with the number that was given, if the number is allowed.
     numbers = re.findall(r"\[\s*(-?[\d.]+)\s*\]", unknown)
     numbered = [
         next(name for index in (*numbers, example) if find_quantity(name := f"{what}[{index}].{field}") is not None)
@@ -314,7 +314,7 @@ _ALIASES: Final = {
 OUTPUTS: Final[Mapping[str, str]] = {
     "acceleration": "m/s²", "steering": "rad", "throttle": "1", "brake": "1", "lane_change": "1",
 }  # fmt: skip
-"""Units of what an FMU may decide, by name."""
+"""Decisions that an FMU can make, by name, with their SI units."""
 _OUTPUT_ALIASES: Final = {
     "acceleration": ("a", "a_cmd", "a_req", "acc_cmd", "acceleration_command", "acceleration_request",
                      "desired_acceleration"),
@@ -338,12 +338,12 @@ _OUTPUT_BY_NAME: Final = {
 _LISTED_OBJECT: Final = re.compile(r"(?:objects?|targets?)\[(\d+)\](\w+)")
 _LISTED_ARRAY: Final = re.compile(r"(?:objects?|targets?)([a-z]+)")
 _FIELD_BY_NAME: Final = {_normalize(name): name for name in _OTHER_UNITS}
-# Their numbers may have a sign and a point, which must not be lost.
+# The number of a point or lane may have a sign and a decimal point, which `_normalize` would remove.
 _NUMBERED: Final = re.compile(r"(path|lane)\[(-?[\d.]+)\](.+)")
 
 
 def recognize_input(variable: str, *, is_array: bool) -> str | None:
-    """Return the name of the quantity that a variable of an FMU seems to mean; None if its name says nothing."""
+    """Return the name of the quantity that the name of an FMU's input suggests; None if the name is not recognized."""
     name = _normalize(variable)
     if not is_array and name in _INPUT_BY_NAME:
         return _INPUT_BY_NAME[name]
@@ -359,5 +359,5 @@ def recognize_input(variable: str, *, is_array: bool) -> str | None:
 
 
 def recognize_output(variable: str) -> str | None:
-    """Return the decision that a variable of an FMU seems to mean; None if its name says nothing."""
+    """Return the decision that the name of an FMU's output suggests; None if the name is not recognized."""
     return _OUTPUT_BY_NAME.get(_normalize(variable))

@@ -1,6 +1,6 @@
-"""An FMU in this process: its library and its instances, through the C interface of FMI 2.0 and 3.0 for co-simulation.
+"""Library and instances of an FMU in this process, through the C interface of FMI 2.0 and 3.0 for co-simulation.
 
-Nothing big is imported, since this runs in small processes of their own.
+Only small modules are imported, since this code runs in the small processes of the FMU.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from cornercase._common.platform import load_c_library, search_libraries_in
 
 OK, WARNING, DISCARD, ERROR, FATAL, PENDING = range(6)
 _STATUS_NAMES: Final = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
-# C types of the values that the functions of each type take, by major version.
+# C types of values, by major version of FMI and FMI type.
 C_TYPES: Final[dict[int, dict[str, Any]]] = {
     2: {"Real": c_double, "Integer": c_int, "Boolean": c_int, "String": c_char_p},
     3: {
@@ -41,7 +41,7 @@ _CO_SIMULATION: Final = 1
 
 
 class FmuError(Exception):
-    """A function of the FMU returned an error; `status` is that of FMI."""
+    """Loading an FMU, or a call of its C functions, failed; `status` is the FMI status."""
 
     def __init__(self, what: str, status: int = ERROR) -> None:
         super().__init__(what)
@@ -50,11 +50,12 @@ class FmuError(Exception):
 
 @dataclass(frozen=True)
 class FmuSource:
-    """What has to be known to load an unpacked FMU.
+    """Data that are needed to load an unpacked FMU.
 
-    `version` is the major version of FMI, `folder` where the FMU is unpacked, `library` its shared library, `token` its
-    GUID or instantiation token. `log_categories` are those of errors and warnings, if it declares them. `log_proxy` is
-    a library that puts the arguments into the log messages of FMI 2.0; empty if there is none.
+    `version` is the major version of FMI, `folder` the folder of the unpacked FMU, `library` the path of its shared
+    library, `token` its GUID or instantiation token. `log_categories` are the log categories for errors and warnings
+    that the FMU declares. `log_proxy` is the path of a library that inserts the arguments into log messages of FMI 2.0;
+    empty if there is none.
     """
 
     version: int
@@ -80,12 +81,12 @@ _LOGGER_3: Final = ctypes.CFUNCTYPE(None, c_void_p, c_int, c_char_p, c_char_p)
 
 
 class Fmu:
-    """An FMU whose library is loaded into this process; raises `FmuError` if it cannot be loaded.
+    """FMU whose library is loaded into this process; raises `FmuError` if the library cannot be loaded.
 
     `setters` and `getters` are the C functions by type (``"Real"``, ``"Integer"``, …): they take an instance, the value
-    references and their number, a pointer to values, and in FMI 3.0 the number of values. `step_arguments` are those of
-    a step after instance, time and size; `has_ended` is set by a step that asks to end the simulation. `on_log` gets
-    each line that the FMU logs.
+    references and their number, a pointer to values, and in FMI 3.0 the number of values. `step_arguments` are the
+    arguments of ``DoStep`` after instance, time and size. `has_ended` is set by a step that asks to end the simulation.
+    `on_log` is called with each line that the FMU logs.
     """
 
     def __init__(self, source: FmuSource, on_log: Callable[[str], None] = lambda line: None) -> None:
@@ -109,7 +110,7 @@ class Fmu:
         self._terminate = self.function("Terminate", c_void_p)
         self._free = self.function("FreeInstance", c_void_p, returns=None)
         self._exit_initialization = self.function("ExitInitializationMode", c_void_p)
-        # Told at once if it is missing, as what is declared above.
+        # Raises an error now if the function is missing, as for the functions above.
         self.bind("DoStep")
         self.has_ended = ctypes.c_bool()
         if self.version == 2:
@@ -133,18 +134,18 @@ class Fmu:
         return hasattr(self._dll, f"{self._prefix}{verb}{kind}")
 
     def function(self, name: str, *arguments: Any, returns: Any = c_int) -> Any:
-        """Return a C function by its name without the prefix."""
+        """Return a C function by its name without ``fmi2`` or ``fmi3``; declare the types of arguments and result."""
         function = self._find(name)
         function.argtypes, function.restype = arguments, returns
         return function
 
     def bind(self, name: str, *arguments: Any) -> Callable[[], int]:
-        """Return a C function with its arguments, which are values of ctypes: a call need not convert them."""
+        """Return a C function bound to fixed ctypes arguments, so that a call does not convert any."""
         return partial(self._find(name), *arguments)
 
     def _find(self, name: str) -> Any:
         try:
-            # Another object in each call, so its types of arguments are those of this use alone.
+            # Indexing returns a new function object, so that its argument types hold for this use only.
             return self._dll[f"{self._prefix}{name}"]
         except AttributeError:
             raise FmuError(f"its library has no function {self._prefix}{name}") from None
@@ -156,7 +157,7 @@ class Fmu:
             raise FmuError(f"{self._prefix}{name} returned {self._prefix}{meaning}", status)
 
     def instantiate(self, name: str) -> Instance:
-        """Return a new instance; raises `FmuError`."""
+        """Create an instance of the FMU; raises `FmuError` if the library returns none."""
         source, categories = self.source, self.source.log_categories
         resources = Path(source.folder, "resources")
         if self.version == 2:
@@ -191,7 +192,7 @@ class Fmu:
                 None,
             )
         if not component:
-            raise FmuError("it gave no instance")
+            raise FmuError("its library returned no instance")
         if categories:
             names = (c_char_p * len(categories))(*(category.encode() for category in categories))
             flag = c_int if self.version == 2 else ctypes.c_bool
@@ -216,20 +217,20 @@ class Fmu:
 
 
 class Instance:
-    """An instance of an FMU; `component` is its pointer. Each method raises `FmuError`."""
+    """Instance of an FMU; `component` is its C pointer. Methods raise `FmuError` if the FMU returns an error."""
 
     def __init__(self, fmu: Fmu, component: int) -> None:
         self.fmu, self.component = fmu, component
 
     def set(self, kind: str, references: Sequence[int], values: Sequence[Any]) -> None:
-        """Set variables of one type; texts as `str`, numbers and booleans as such."""
+        """Set variables of one FMI type to Python values: `str`, numbers or `bool`."""
         array = (C_TYPES[self.fmu.version][kind] * len(values))(
             *(value.encode() if isinstance(value, str) else value for value in values)
         )
         self._call("Set", kind, references, array)
 
     def get(self, kind: str, references: Sequence[int], count: int | None = None) -> list[Any]:
-        """Return the values of variables of one type; `count` is their number, if one of them is an array."""
+        """Return the values of variables of one FMI type; `count` is the number of values if a variable is an array."""
         array = (C_TYPES[self.fmu.version][kind] * (count or len(references)))()
         self._call("Get", kind, references, array)
         return [value.decode() if isinstance(value, bytes) else value for value in array]
@@ -244,7 +245,7 @@ class Instance:
         self.fmu.check(f"{verb}{kind}", status)
 
     def enter_initialization(self) -> None:
-        """Begin the initialization at time 0; parameters are set before, inputs after it."""
+        """Begin the initialization at time 0; parameters are set before this call, inputs after this call."""
         fmu = self.fmu
         if fmu.version == 2:
             fmu.check("SetupExperiment", fmu._setup_experiment(self.component, 0, 0.0, 0.0, 0, 0.0))
@@ -258,7 +259,7 @@ class Instance:
         self.fmu.check("ExitInitializationMode", self.fmu._exit_initialization(self.component))
 
     def bind_step(self, time: c_double, size: float) -> Callable[[], None]:
-        """Return what does a step of `size` s from the value of `time` at that moment."""
+        """Return a function that does a step of `size` s, from the time in `time` when the function is called."""
         fmu = self.fmu
         do_step = fmu.bind("DoStep", c_void_p(self.component), time, c_double(size), *fmu.step_arguments)
 
@@ -272,11 +273,11 @@ class Instance:
         return step
 
     def reset(self) -> None:
-        """Return to the state after the instantiation."""
+        """Reset the instance to its state after the instantiation."""
         self.fmu.check("Reset", self.fmu.reset(self.component))
 
     def free(self, *, terminate: bool = True) -> None:
-        """Release the instance; it is not terminated first if it has returned an error."""
+        """Terminate and free the instance; give `terminate=False` for an instance that has returned an error."""
         if terminate:
             self.fmu._terminate(self.component)
         self.fmu._free(self.component)

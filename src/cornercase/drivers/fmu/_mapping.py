@@ -1,4 +1,4 @@
-"""Which quantity each variable of an FMU is given, and which of its variables decide what."""
+"""Mapping of an FMU's variables: the quantity that each input is given, and the decision that each output makes."""
 
 from __future__ import annotations
 
@@ -37,20 +37,20 @@ _OUTPUT_KEYS: Final = ("from", "unit", "factor")
 
 @dataclass(frozen=True)
 class MappedVariable:
-    """A variable of an FMU, as a driver uses it.
+    """Variable of an FMU, and its use by a driver.
 
     Attributes
     ----------
     name : str
-        Name in the FMU.
+        Name of the variable in the FMU.
     causality : {"input", "output", "parameter"}
-        What it is in the FMU; everything that a map reads is an output.
+        Role in the FMU; a local variable that a map reads counts as an output.
     unit : str
-        Unit of the FMU, or the one that is taken in its place.
+        Unit that the FMU declares, or the unit that is assumed if the FMU declares none.
     source : str
-        Quantity that it is given, decision that it makes, or value of a parameter; empty if it is not used.
+        Quantity that an input is given, decision that an output makes, or value of a parameter; empty if unused.
     remark : str
-        Such as a unit that the FMU does not name, or the start value that an input keeps; may be empty.
+        Note about the variable, such as the start value that an unused input keeps; may be empty.
 
     Examples
     --------
@@ -68,9 +68,9 @@ class MappedVariable:
 
 @dataclass(frozen=True)
 class InputColumn:
-    """A value that an input is given: ``(quantity - offset) * factor``, or `none` where the quantity does not exist.
+    """Value of an FMU input: ``(quantity - offset) * factor``, or `none` in scenarios without the quantity.
 
-    A constant has no quantity.
+    If `quantity` is None, the value is the constant `none`.
     """
 
     quantity: InputQuantity | None
@@ -79,7 +79,7 @@ class InputColumn:
     none: float
 
     def compute(self, traffic: Traffic) -> FloatArray | float:
-        """Return the values of all scenarios, in the unit of the FMU."""
+        """Return the value in each scenario, in the unit of the FMU's input."""
         if self.quantity is None:
             return self.none
         values = self.quantity.compute(traffic)
@@ -88,7 +88,7 @@ class InputColumn:
 
 @dataclass(frozen=True)
 class Input:
-    """An input of the FMU, with a column per value."""
+    """Input of an FMU and its values, one column each: an array has several values."""
 
     variable: FmuVariable
     columns: tuple[InputColumn, ...]
@@ -96,7 +96,7 @@ class Input:
 
 @dataclass(frozen=True)
 class Output:
-    """A decision of the FMU: ``factor * value + offset``, in SI units."""
+    """Output of an FMU that makes a decision: ``factor * value + offset`` in SI units."""
 
     variable: FmuVariable
     decision: str
@@ -105,9 +105,10 @@ class Output:
 
 
 class VariableMap:
-    """The inputs and outputs of an FMU that are mapped, with tables of one type each for shared memory.
+    """Map between the traffic and an FMU's inputs, and between its outputs and decisions, as tables for shared memory.
 
-    `messages` are those of OSI. They decide unless a map has outputs.
+    Each table holds the variables of one FMI type. `messages` are the FMU's OSI messages. If the FMU writes its motion
+    as an OSI message, this message decides, unless the map file has outputs.
     """
 
     def __init__(self, model: FmuModel, path: Path | None) -> None:
@@ -128,7 +129,7 @@ class VariableMap:
         self.output_layouts = [self._layout(self.outputs, members) for members in self._output_kinds]
 
     def fill_inputs(self, traffic: Traffic) -> list[npt.NDArray[Any]]:
-        """Return the tables of all inputs, with a row per scenario."""
+        """Compute all inputs of the FMU; return a table for each FMI type, with a row per scenario."""
         n, tables = len(traffic.situation.speed), list[npt.NDArray[Any]]()
         for layout, members in zip(self.input_layouts, self._input_kinds, strict=True):
             values = np.empty((n, layout.width))
@@ -139,7 +140,7 @@ class VariableMap:
         return tables
 
     def read_outputs(self, tables: Sequence[npt.NDArray[Any]]) -> dict[str, FloatArray]:
-        """Return the decisions in SI units, (N,) each."""
+        """Return the decisions by name in SI units, each of shape (N,) for N scenarios."""
         decisions: dict[str, FloatArray] = {}
         for table, members in zip(tables, self._output_kinds, strict=True):
             for k, member in enumerate(members):
@@ -157,7 +158,7 @@ class VariableMap:
         )
 
     def _map_inputs(self, table: Mapping[str, Any] | None) -> list[Input]:
-        """Map the inputs that a map names, or those whose names say what they are."""
+        """Return the inputs that the map file names, or without a map file the inputs whose names are recognized."""
         variables = self._model.with_causality("input")
         if table is None:
             named = {
@@ -187,10 +188,10 @@ class VariableMap:
         if quantities is None:
             if variable.size > 1:
                 raise InputError(
-                    f"{where} is an array of {variable.size} values, which '{source}' does not fill; give it a list of"
-                    " objects, as in 'object.x'."
+                    f"{where} is an array of {variable.size} values, which '{source}' cannot fill; give a quantity of"
+                    " all objects, such as 'object.x'."
                 )
-            raise InputError(f"{where} is to get '{source}', which does not exist; {suggest_quantity(source)}")
+            raise InputError(f"{where}: there is no quantity '{source}'; {suggest_quantity(source)}")
         unit, remark = self._unit_of(variable, options.get("unit"), quantities[0].unit, where)
         factor = options.get("factor", 1.0)
         columns = []
@@ -210,8 +211,8 @@ class VariableMap:
                 decision = recognize_output(variable.name) if variable.size == 1 else None
                 if decision in table:
                     raise InputError(
-                        f"{self._where}: its outputs '{table[decision]}' and '{variable.name}' both seem to be the"
-                        f" {decision}; say which one is in a map, `map=FILE.toml`."
+                        f"{self._where}: the outputs '{table[decision]}' and '{variable.name}' both seem to be the"
+                        f" {decision}; give a map that names one of them, `map=FILE.toml`."
                     )
                 if decision is not None:
                     table[decision] = variable.name
@@ -243,25 +244,25 @@ class VariableMap:
         has_pedals = not given.isdisjoint(_PEDALS)
         if not given:
             names = ", ".join(variable.name for variable in self._model.with_causality("output")) or "none"
-            writes = ", and it writes neither a TrafficUpdate nor a MotionRequest" if self._model.messages else ""
+            writes = ", and the FMU writes neither a TrafficUpdate nor a MotionRequest" if self._model.messages else ""
             raise InputError(
-                f"{self._where}: none of its outputs ({names}) is known as one of {', '.join(OUTPUTS)}{writes}; say in"
-                " a map what they are, `map=FILE.toml`."
+                f"{self._where}: none of the outputs ({names}) is recognized as a decision"
+                f" ({', '.join(OUTPUTS)}){writes}; say in a map what the outputs decide, `map=FILE.toml`."
             )
         if "acceleration" not in given and not has_pedals:
             raise InputError(
-                f"{self._where}: its outputs decide {' and '.join(sorted(given))}, but neither the acceleration nor"
-                " throttle and brake, which a driver has to; say in a map what decides it, `map=FILE.toml`."
+                f"{self._where}: the outputs decide {' and '.join(sorted(given))}, but a driver must also decide the"
+                " acceleration, or throttle and brake; say in a map which output does, `map=FILE.toml`."
             )
         if "acceleration" in given and has_pedals:
             raise InputError(
-                f"{self._where}: its outputs decide {', '.join(sorted(given))}; a driver decides either the"
-                " acceleration or throttle and brake: say which in a map, `map=FILE.toml`."
+                f"{self._where}: the outputs decide {', '.join(sorted(given))}; a driver decides either the"
+                " acceleration, or throttle and brake: choose in a map, `map=FILE.toml`."
             )
         if {"steering", "lane_change"} <= given:
             raise InputError(
-                f"{self._where}: its outputs decide both steering and lane changes, which steer by themselves; leave"
-                " one out in a map, `map=FILE.toml`."
+                f"{self._where}: the outputs decide both steering and lane changes, but a lane change steers by"
+                " itself; leave out one of the two in a map, `map=FILE.toml`."
             )
 
     def _find_variable(self, name: str, variables: Sequence[FmuVariable], what: str) -> FmuVariable:
@@ -274,10 +275,10 @@ class VariableMap:
         return variable
 
     def _unit_of(self, variable: FmuVariable, given: str | None, symbol: str, where: str) -> tuple[Unit, str]:
-        """Return the unit of a variable that is measured in an SI unit, and a remark for the listing."""
+        """Return a variable's unit, which must fit the SI unit `symbol`, and the remark of its `MappedVariable`."""
         if given is not None:
             if given not in KNOWN_UNITS:
-                raise InputError(f"{where} has the unit '{given}'; {suggest_name(given, KNOWN_UNITS)}")
+                raise InputError(f"{where} has the unknown unit '{given}'; {suggest_name(given, KNOWN_UNITS)}")
             if variable.unit_name and variable.unit_name != given:
                 raise InputError(
                     f"{where} has the unit '{given}', but the FMU says '{variable.unit_name}'; leave out the unit."
@@ -290,8 +291,8 @@ class VariableMap:
         name = given or variable.unit_name
         if unit is None:
             raise InputError(
-                f"{where}: '{variable.name}' has the unit '{name}', whose meaning the FMU does not define; define it"
-                " there by its base units."
+                f"{where}: '{variable.name}' has the unit '{name}', whose meaning the FMU does not define; define the"
+                " unit in the FMU by base units."
             )
         if not fits(unit, symbol):
             raise InputError(f"{where}: '{variable.name}' has the unit '{name}', which does not fit {symbol}.")
@@ -299,7 +300,7 @@ class VariableMap:
 
 
 def _convert(values: FloatArray, layout: TableLayout) -> npt.NDArray[Any]:
-    """Return values in the type of a table: rounded, at most the largest number of the type; booleans are 0 and 1."""
+    """Convert values to the type of a table: round and clip for integers; booleans are true unless rounded to 0."""
     dtype = np.dtype(layout.dtype)
     if dtype.kind == "f":
         return values.astype(dtype)
@@ -308,14 +309,14 @@ def _convert(values: FloatArray, layout: TableLayout) -> npt.NDArray[Any]:
         is_true: npt.NDArray[np.bool_] = rounded != 0.0
         return is_true.astype(dtype)
     limits = np.iinfo(dtype)
-    # The largest number of 64 bits is no float.
+    # The largest 64-bit integer cannot be represented as a float.
     highest = float(limits.max) if dtype.itemsize < 8 else np.nextafter(float(limits.max), 0.0)
     clipped: FloatArray = np.clip(rounded, float(limits.min), highest)
     return clipped.astype(dtype)
 
 
 def _group(variables: Sequence[FmuVariable]) -> list[list[int]]:
-    """Return the indices of the variables of each type."""
+    """Group variables by FMI type; return their indices, one list per type."""
     kinds: dict[str, list[int]] = {}
     for k, variable in enumerate(variables):
         kinds.setdefault(variable.kind, []).append(k)
@@ -323,13 +324,13 @@ def _group(variables: Sequence[FmuVariable]) -> list[list[int]]:
 
 
 def _check_entry(where: str, entry: object, keys: Sequence[str], example: str) -> dict[str, Any]:
-    """Return an entry of a map as a dict with ``from``; `InputError` for keys and values that are no such thing."""
+    """Return an entry of a map file as a dict with the key ``from``; `InputError` for unknown keys and wrong values."""
     options = {"from": entry} if isinstance(entry, str) else entry
     if not isinstance(options, dict) or not isinstance(options.get("from"), str):
         raise InputError(f'{where}: give a name, as in "{example}" or {{ from = "{example}" }}.')
     for key, value in options.items():
         if key not in keys:
-            raise InputError(f"{where}: has the key '{key}'; {suggest_name(key, keys)}")
+            raise InputError(f"{where}: has the unknown key '{key}'; {suggest_name(key, keys)}")
         if key in ("none", "factor"):
             if isinstance(value, bool) or not isinstance(value, int | float) or (key == "factor" and not value):
                 raise InputError(
@@ -341,7 +342,7 @@ def _check_entry(where: str, entry: object, keys: Sequence[str], example: str) -
 
 
 def _read_map(path: Path) -> tuple[dict[str, Any], str]:
-    """Return the content of a map and its SHA-256."""
+    """Return the tables of a map file (TOML), and the SHA-256 of the file."""
     try:
         content = path.read_bytes()
         document = tomllib.loads(content.decode())
@@ -351,5 +352,5 @@ def _read_map(path: Path) -> tuple[dict[str, Any], str]:
         raise InputError(f"{path}: is no TOML file ({format_exception(error)}).") from error
     for name, table in document.items():
         if name not in ("inputs", "outputs") or not isinstance(table, dict):
-            raise InputError(f"{path}: has '{name}'; a map has the tables [inputs] and [outputs].")
+            raise InputError(f"{path}: has '{name}'; a map has only the tables [inputs] and [outputs].")
     return document, hashlib.sha256(content).hexdigest()

@@ -1,4 +1,4 @@
-"""What the model description of an FMU says, as far as it matters for a driver."""
+"""Model description of an FMU: the variables and properties that a driver needs."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ _DTYPES: Final = {
 
 @dataclass(frozen=True)
 class FmuVariable:
-    """A variable of an FMU.
+    """Variable of an FMU.
 
-    `kind` names the functions that set and get it, such as ``"Real"``. `size` is its number of values, more than one
-    for an array of FMI 3.0. `unit_name` is as in the file, and `unit` what it means; None if it is not known.
-    `items` are the numbers of an enumeration by name.
+    `kind` is the type in the names of the C functions that set and get the variable, such as ``"Real"``. `size` is the
+    number of values, more than one for an array of FMI 3.0. `unit_name` is the unit as written in the file, and `unit`
+    its definition; None if it is unknown. `items` are the numbers of an enumeration, by name.
     """
 
     name: str
@@ -47,19 +47,19 @@ class FmuVariable:
 
     @property
     def is_number(self) -> bool:
-        """Whether its values are numbers or booleans."""
+        """True if the values are numbers or booleans."""
         return self.kind in _DTYPES or self.kind == "Boolean"
 
     def dtype(self, version: int) -> str:
-        """Return the NumPy type of its values; `version` is that of FMI."""
+        """Return the NumPy type of the values, such as ``"f8"``; `version` is the major version of FMI."""
         return _DTYPES.get(self.kind, "i4" if version == 2 else "?")
 
 
 @dataclass(frozen=True, eq=False)
 class FmuModel:
-    """An FMU for co-simulation, as its file describes it.
+    """Description of an FMU for co-simulation, read from its file.
 
-    `messages` are those of OSI that it reads and writes; the integers that they consist of are no `variables`.
+    `messages` are the OSI messages that the FMU reads and writes; integers that hold messages are not in `variables`.
     """
 
     path: Path
@@ -82,7 +82,7 @@ class FmuModel:
 
     @cached_property
     def by_name(self) -> dict[str, FmuVariable]:
-        """Its variables by name."""
+        """Variables of the FMU by name."""
         return {variable.name: variable for variable in self.variables}
 
     def with_causality(self, causality: str) -> list[FmuVariable]:
@@ -95,7 +95,7 @@ class FmuModel:
 
         content = _read(self.path)
         if hashlib.sha256(content).hexdigest() != self.sha256:
-            raise InputError(f"{self.path}: has changed since the command started; run it again.")
+            raise InputError(f"{self.path}: the file has changed since the command started; run the command again.")
         try:
             fmpy.extract(io.BytesIO(content), str(folder))
         except Exception as error:
@@ -104,7 +104,7 @@ class FmuModel:
         library = folder / "binaries" / platform / f"{self.identifier}{fmpy.sharedLibraryExtension}"
         if not library.is_file():
             with_library = sorted(entry.name for entry in folder.glob("binaries/*") if entry.is_dir())
-            has = f"only for {', '.join(with_library)}" if with_library else "but source code at most"
+            has = f"only for {', '.join(with_library)}" if with_library else "nor for another platform"
             raise InputError(
                 f"{self.path}: has no library for {platform}, {has}; export or compile it for this platform."
             )
@@ -120,7 +120,7 @@ class FmuModel:
 
 
 def read_fmu(path: Path) -> FmuModel:
-    """Read an FMU; `InputError` if it is none, or none for co-simulation with FMI 2.0 or 3.0."""
+    """Read the description of an FMU; `InputError` if the file is not an FMU for co-simulation with FMI 2.0 or 3.0."""
     try:
         status = path.stat()
     except OSError as error:
@@ -177,7 +177,7 @@ def _read_fmu(path: Path, modified: int, size: int) -> FmuModel:
 def _select_log_categories(xml: bytes, tool: str) -> tuple[str, ...]:
     """Return the declared log categories of errors and warnings."""
     declared = tuple(name for name in _LOG_CATEGORIES if f'name="{name}"'.encode() in xml)
-    # It logs exceptions of Python without a category, and leaves out what is not of those asked for.
+    # PythonFMU logs Python exceptions with an empty category, and leaves out categories that are not requested.
     return (*declared, "") if declared and tool.startswith("PythonFMU") else declared
 
 
@@ -211,7 +211,7 @@ def _make_variable(variable: Any, units: Mapping[str, Any], version: int) -> Fmu
 
 
 def _read_unit(base: Any, name: str) -> Unit | None:
-    """Return a unit by its definition in the FMU, else by its name; None if it is unknown."""
+    """Return a unit from its definition in the FMU, or else from its name; None if the unit is unknown."""
     if base is None:
         return KNOWN_UNITS.get(name)
     if any((base.kg, base.A, base.K, base.mol, base.cd)):

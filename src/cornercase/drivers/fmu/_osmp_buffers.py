@@ -1,6 +1,6 @@
-"""Messages that are passed to an FMU and back by address and size, as OSMP demands.
+"""Exchange of OSI messages with an FMU by memory address and size, as OSI Sensor Model Packaging (OSMP) demands.
 
-Nothing big is imported, since this runs in small processes of their own.
+Only small modules are imported, since this code runs in the small processes of the FMU.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from cornercase.drivers.fmu._instance import FmuError, Instance
 
 _MASK: Final = 0xFFFFFFFF
 _MAX_SIZE: Final = 0x7FFFFFFF
-# Type of the three integers, and their references: lower and upper half of the address, and size.
+# FMI type and value references of three integers: lower and upper half of the address, and size.
 MessageLayout = tuple[str, Sequence[int]]
 
 
 class MessageBuffers:
-    """The messages that an instance is given, one per input; an empty one stands for none.
+    """Buffers of the OSI messages that an FMU instance is given, one per input; empty bytes stand for no message.
 
-    Those of the step before stay where they are, so that an FMU may compare both.
+    The messages of the previous step stay in memory, so that the FMU can compare old and new messages.
     """
 
     def __init__(self, layouts: Sequence[MessageLayout]) -> None:
@@ -29,21 +29,21 @@ class MessageBuffers:
 
     @property
     def newest(self) -> list[bytes]:
-        """The messages for the next step."""
+        """OSI messages for the next step, one per input."""
         return self._last_two[-1]
 
     def replace(self, messages: list[bytes]) -> None:
-        """Take the messages for the next step."""
+        """Set the messages for the next step; the messages set before stay in memory for one more step."""
         self._last_two.append(messages)
 
     def pass_to(self, instance: Instance) -> None:
-        """Tell an instance where its messages are."""
+        """Set addresses and sizes of the newest messages in an FMU instance."""
         for layout, message in zip(self._layouts, self.newest, strict=True):
             pass_message(instance, layout, message)
 
 
 def pass_message(instance: Instance, layout: MessageLayout, message: bytes) -> None:
-    """Give an instance the address of a message; keep the bytes as long as the instance may read them."""
+    """Set address and size of a message in an FMU instance; keep `message` alive while the FMU may read it."""
     address = ctypes.cast(ctypes.c_char_p(message), ctypes.c_void_p).value or 0 if message else 0
     kind, references = layout
     to_integer = ctypes.c_uint32 if kind == "UInt32" else ctypes.c_int32
@@ -52,12 +52,12 @@ def pass_message(instance: Instance, layout: MessageLayout, message: bytes) -> N
 
 
 def read_message(instance: Instance, layout: MessageLayout) -> bytes:
-    """Return a copy of the message that an instance has written; empty if there is none."""
+    """Return a copy of the OSI message that an FMU instance has written; empty bytes if there is none."""
     kind, references = layout
     low, high, size = (value & _MASK for value in instance.get(kind, references))
     address = high << 32 | low
     if not address or not size:
         return b""
     if size > _MAX_SIZE:
-        raise FmuError("the size of its OSI message is negative")
+        raise FmuError("it gave its OSI message a negative size")
     return ctypes.string_at(address, size)

@@ -1,4 +1,4 @@
-"""Which messages of OSI an FMU is given, and which variable says where it drives."""
+"""Selection of the OSI messages that an FMU is given, and of the message that says where its vehicle drives."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ _GIVEN: Final = {
     "GroundTruth": "what the sensors know",
     "TrafficCommand": "what the scenario wants",
 }
-# Parameters that are given, by their names.
+# Parameters that are set, by the beginning of the name and the type of the message.
 _STATIC: Final = {
     ("OSMPGroundTruthInit", "GroundTruth"): "roads, once",
     ("OSMPSensorViewInConfig", "SensorViewConfiguration"): "how the views are, once",
 }
-# The first one that an FMU has decides.
+# Messages that can decide the motion; the first type that an FMU writes is used.
 _DECIDES: Final = {
     "TrafficUpdate": "pose and speed at the end of the step",
     "MotionRequest": "trajectory or acceleration",
@@ -26,11 +26,11 @@ _DECIDES: Final = {
 
 
 class OsmpMap:
-    """The messages of an FMU that are used.
+    """Selection of the OSI messages that are exchanged with an FMU.
 
-    `inputs` are given in each step, `static` are given once, the roads among them if `has_roads_once`. `motion` is what
-    the FMU decides; None if `decides` is not set, or if it writes no such message. `listing` has each message with its
-    use, empty if there is none, and a remark.
+    The FMU is given `inputs` in each step, and `static` once before the first step. `has_roads_once` is True if
+    `static` contains the roads. `motion` is the message with the motion that the FMU decides; None if `decides` is
+    False or the FMU writes none. `listing` has every message with its use (empty if unused) and a remark.
     """
 
     def __init__(self, variables: Sequence[MessageVariable], *, decides: bool) -> None:
@@ -66,7 +66,7 @@ class OsmpMap:
         return bool(self.inputs or self.static or self.motion)
 
     def layouts(self, static: Sequence[bytes]) -> MessageLayouts:
-        """Return what the process of the FMU has to know; `static` are the messages that are given once."""
+        """Return types and value references of the used messages; `static` are the bytes of `self.static`."""
         return MessageLayouts(
             [(variable.kind, variable.references) for variable in self.inputs],
             [(self.motion.kind, self.motion.references)] if self.motion is not None else [],
@@ -78,7 +78,7 @@ class OsmpMap:
 
 
 def _name_static(variable: MessageVariable) -> str:
-    """Return what a parameter is given, empty if it is nothing."""
+    """Return the use of an OSI message that is passed once as a parameter; an empty text if the message is unused."""
     return next(
         (
             use

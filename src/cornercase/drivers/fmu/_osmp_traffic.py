@@ -1,4 +1,4 @@
-"""The traffic around an FMU as messages of ASAM OSI, and where it drives as it says in one."""
+"""Conversion of the traffic to ASAM OSI messages for an FMU, and of the FMU's OSI messages to its motion."""
 
 from __future__ import annotations
 
@@ -17,17 +17,18 @@ from cornercase.recordings._osi_messages import OsiEntity, OsiState, fill_ground
 from cornercase.recordings._osi_roads import fill_roads
 
 HOST: Final = 0
-"""Id of the driven vehicle; those of the others follow, and false objects of sensors come last."""
+"""OSI id of the driven vehicle; the ids of other entities follow, and the ids of false objects of sensors come last."""
 
 
 class UnusableMotionError(Exception):
-    """A message does not say where the FMU drives."""
+    """An OSI message of an FMU does not say, in a usable form, where the vehicle drives."""
 
 
 class OsmpTraffic:
-    """The messages of a batch: what an FMU is given, from the situation as its sensors know it, and what it decides.
+    """OSI messages of a batch: writes the traffic that an FMU is given, and reads the motion that the FMU decides.
 
-    Accelerations and yaw rates of others are their changes since the step before.
+    The traffic is the situation as known by sensors. Accelerations of others and all yaw rates are computed from the
+    changes since the previous step.
     """
 
     def __init__(self, osmp: OsmpMap, start: Start) -> None:
@@ -35,7 +36,7 @@ class OsmpTraffic:
         # Speed and heading of all objects in the step before, the host first.
         n_objects = 1 + len(start.others)
         self._speed, self._heading = np.full((2, start.scenarios, n_objects), np.nan)
-        # Speed that the scenario wants, as it was given last, and the number of actions that gave it.
+        # Target speed in the last speed action, and number of speed actions so far.
         self._given_speed, self._n_actions = np.full(start.scenarios, np.nan), [0] * start.scenarios
         self._views = [variable.name for variable in osmp.inputs if variable.message == "SensorView"]
         self._roads = self._describe_roads()
@@ -43,10 +44,10 @@ class OsmpTraffic:
             self._roads if variable.message == "GroundTruth" else self._configure_view(variable.name)
             for variable in osmp.static
         ]
-        """The messages that are given once, for all scenarios."""
+        """OSI messages that are passed once, before the first step; the same in all scenarios."""
 
     def write(self, situation: Situation) -> list[list[bytes]]:
-        """Return the messages for each scenario, empty where it is not active."""
+        """Return the OSI messages that the FMU is given, by scenario; empty bytes in scenarios that are not active."""
         if not self._osmp.inputs:
             return [[]] * len(situation.active)
         entities, states = self._entities(situation), self._states(situation)
@@ -58,9 +59,9 @@ class OsmpTraffic:
         ]
 
     def read(self, message: bytes, situation: Situation, row: int) -> Trajectory | float:
-        """Return a trajectory or an acceleration in m/s² along the heading; raises `UnusableMotionError`.
+        """Decode the FMU's OSI message in scenario `row`: a trajectory, or an acceleration along the heading in m/s².
 
-        Without a message the vehicle keeps its speed.
+        Empty bytes mean no message: the acceleration is 0. Raises `UnusableMotionError`.
         """
         assert self._osmp.motion is not None
         kind = self._osmp.motion.message
@@ -73,7 +74,7 @@ class OsmpTraffic:
                 return self._read_traffic_update(message, situation, row)
             return self._read_motion_request(message, situation, row)
         except DecodeError as error:
-            raise UnusableMotionError(f"its message is no {kind} of OSI") from error
+            raise UnusableMotionError(f"its message is not an OSI {kind}") from error
         except ValueError as error:
             raise UnusableMotionError(f"its {kind} cannot be driven: {error}") from error
 
@@ -90,7 +91,7 @@ class OsmpTraffic:
         return [host, *(OsiEntity(name, object_type, *box) for name, object_type, box in others)]
 
     def _states(self, situation: Situation) -> FloatArray:
-        """Return x, y, heading, speed, acceleration and yaw rate of all objects, (N, 1 + A, 6)."""
+        """Return x, y, heading, speed, acceleration and yaw rate of the ego and A others, shape (N, 1 + A, 6)."""
         x, y, heading, speed = (
             np.column_stack((getattr(situation, name), getattr(situation, f"others_{name}")))
             for name in ("x", "y", "heading", "speed")
@@ -111,7 +112,7 @@ class OsmpTraffic:
         time, truth = situation.time, GroundTruth()
         fill_ground_truth(truth, time, entities, states, HOST)
         if not self._osmp.has_roads_once:
-            # Parsing what is written once is faster than copying its parts.
+            # Parsing the serialized roads is faster than copying their parts.
             truth.MergeFromString(self._roads)
             set_timestamp(truth.timestamp, time)
         command: bytes | None = None
@@ -134,7 +135,7 @@ class OsmpTraffic:
         return messages
 
     def _command(self, time: float, row: int, target_speed: float) -> bytes:
-        """Return a TrafficCommand: a speed that the scenario wants from now on is an action, which is given once."""
+        """Return an OSI TrafficCommand; its only action is the scenario's target speed, whenever this has changed."""
         from osi3.osi_trafficcommand_pb2 import TrafficCommand
 
         command = TrafficCommand()
@@ -151,7 +152,7 @@ class OsmpTraffic:
         return content
 
     def _configure_view(self, name: str) -> bytes:
-        """Return how a view is, as a SensorViewConfiguration; it is the same whatever the FMU would like."""
+        """Return the OSI SensorViewConfiguration for the variable `name`; requests of the FMU are ignored."""
         from osi3.osi_sensorviewconfiguration_pb2 import SensorViewConfiguration
 
         config, view = SensorViewConfiguration(), name.replace("Config", "", 1)
@@ -166,7 +167,7 @@ class OsmpTraffic:
         return content
 
     def _describe_roads(self) -> bytes:
-        """Return what does not change, as a GroundTruth."""
+        """Return an OSI GroundTruth with the roads only, which do not change."""
         from osi3.osi_groundtruth_pb2 import GroundTruth
 
         truth, network = GroundTruth(), self._start.network
@@ -184,8 +185,10 @@ class OsmpTraffic:
         updates = TrafficUpdate.FromString(message).update
         update = next((update for update in updates if update.id.value == HOST), None)
         if update is None:
-            ids = ", ".join(str(update.id.value) for update in updates) or "nothing"
-            raise UnusableMotionError(f"its TrafficUpdate is of {ids}, not of the host with the id {HOST}")
+            ids = ", ".join(str(update.id.value) for update in updates) or "none"
+            raise UnusableMotionError(
+                f"its TrafficUpdate has the ids {ids}, but not the id {HOST} of the driven vehicle"
+            )
         return self._reach(update.base, situation.time + situation.time_step, situation, row, self._start.body.center_x)
 
     def _read_motion_request(self, message: bytes, situation: Situation, row: int) -> Trajectory | float:
@@ -209,9 +212,10 @@ class OsmpTraffic:
         return self._reach(state, time, situation, row, 0.0)
 
     def _reach(self, goal: Any, time: float, situation: Situation, row: int, center_x: float) -> Trajectory | float:
-        """Return how to reach a state, whose position is `center_x` m ahead of the reference point.
+        """Return a trajectory to the OSI state `goal` at `time` s, or the acceleration of a `goal` without position.
 
-        If it has no position, its acceleration counts. What it does not say of position and heading stays.
+        The position of `goal` is `center_x` m ahead of the vehicle's reference point. Coordinates and headings that
+        `goal` leaves out stay as they are. The acceleration is along the heading, in m/s².
         """
         heading = float(situation.heading[row])
         if not goal.HasField("position"):
@@ -243,7 +247,7 @@ class OsmpTraffic:
 
 
 def _mount(message: Any) -> None:
-    """Mount a sensor at the middle of the rear axle, from where the position is measured."""
+    """Set a sensor's mounting position to the middle of the rear axle, the origin of mounting positions."""
     position, orientation = message.mounting_position.position, message.mounting_position.orientation
     position.x = position.y = position.z = orientation.roll = orientation.pitch = orientation.yaw = 0.0
 

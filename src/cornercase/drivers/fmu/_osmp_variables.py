@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 _ELEMENT: Final = "{*}osmp-binary-variable"
 _ROLES: Final = ("base.lo", "base.hi", "size")
 _MESSAGE_TYPE: Final = re.compile(r"application/x-open-simulation-interface\s*;.*?\btype\s*=\s*\"?(\w+)")
-# What a variable holds by the name that the standard gives it; views have configurations, too.
+# Type of a message in the standard names of variables; the names of configurations contain InConfig.
 _NAME: Final = re.compile(
     r"OSMP(SensorView|SensorData|GroundTruth|TrafficCommand|TrafficCommandUpdate|TrafficUpdate|MotionRequest"
     r"|StreamingUpdate)(?:InConfig(?:Request)?|Init|In|Out)(?:\[\d+\])?"
@@ -27,11 +27,11 @@ _PASSED: Final = ("Integer", "Int32", "UInt32")
 
 @dataclass(frozen=True)
 class MessageVariable:
-    """A message in three integers: lower and upper half of its address, and its size.
+    """OSI message of an FMU, held by three integer variables: lower and upper half of its address, and its size.
 
-    `references` are their value references in this order, and `kind` their type. `message` is the type of the message,
-    such as ``"SensorView"``; empty if it is none of OSI. `misdeclared` is the type in its MIME type, if its name is one
-    of the standard for another message.
+    `references` are the value references of these integers, and `kind` is their FMI type. `message` is the type of the
+    message, such as ``"SensorView"``; empty if the message is not from OSI. If name and MIME type of the variable
+    contradict each other, the name counts, and `misdeclared` is the type of message in the MIME type.
     """
 
     name: str
@@ -45,9 +45,9 @@ class MessageVariable:
 def read_message_variables(
     xml: bytes, by_name: dict[str, FmuVariable], refuse: Callable[[str], InputError]
 ) -> tuple[tuple[MessageVariable, ...], frozenset[str]]:
-    """Return the messages that a model description declares, and the names of the integers that they consist of.
+    """Return the OSI messages that an FMU's model description declares, and the names of the integers that hold them.
 
-    `refuse` makes the error for a sentence.
+    `refuse` makes an error from a sentence; this error is raised if a message is declared wrongly.
     """
     root = etree.fromstring(xml, etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False))
     members_by_name: dict[str, list[tuple[str, str, FmuVariable]]] = {}
@@ -81,7 +81,7 @@ def _join(
     of_role = {role: variable.reference for role, variable in zip(roles, variables, strict=True)}
     match = _MESSAGE_TYPE.match(mimes[0])
     declared = "" if match is None else match[1]
-    # Both are to say the same. Code is written by names, and MIME types are copied from other variables.
+    # If name and MIME type differ, the name counts: MIME types are easily copied from other variables by mistake.
     message = declared and (_message_of_name(name) or declared)
     low, high, size = (of_role[role] for role in _ROLES)
     misdeclared = "" if message == declared else declared

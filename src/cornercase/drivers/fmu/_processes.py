@@ -1,4 +1,4 @@
-"""Processes with the instances of an FMU, so that what the FMU does wrong costs no more than its scenario."""
+"""Processes that run the instances of an FMU, so that a crash of the FMU fails only the scenario at fault."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ from cornercase.drivers.fmu._instance import FmuSource
 from cornercase.drivers.fmu._osmp_buffers import MessageLayout
 
 MAX_PROCESSES: Final = 32
-"""Most processes at the same time, for an FMU that wants one for each instance."""
-# Scenarios for which another process pays.
+"""Maximum number of processes at the same time, for an FMU that allows only one instance per process."""
+# Scenarios per process: a larger batch is divided between several processes.
 _SCENARIOS_PER_PROCESS: Final = 100
-# Shortest time limit in s of the start of the process and of a batch.
+# Least time limit in s for the start of a process and of a batch.
 _START_TIMEOUT: Final = 60.0
-# Log lines that a failure shows, and their length together; bytes of the log that are kept.
+# Log lines that an error message shows, their total length in characters, and bytes of the log that are read.
 _MAX_LINES, _MAX_LOG_LENGTH, _MAX_LOG_BYTES = 3, 300, 1_000_000
-# Finds the package where this process found it.
+# The child process imports the package from the same folder as this process.
 _HOST_CODE: Final = "import sys; sys.path.insert(0, sys.argv[1]); from cornercase.drivers.fmu._host import main; main()"
 
 
@@ -47,7 +47,10 @@ class FmuProcessError(Exception):
 
 @dataclass(frozen=True)
 class TableLayout:
-    """Variables of one type that are set or read at once: `width` values per scenario."""
+    """Layout of a table of FMU variables of one type, set or read in one call: `width` values per scenario.
+
+    `kind` is the FMI type, and `references` are the value references of the variables.
+    """
 
     kind: str
     references: tuple[int, ...]
@@ -57,9 +60,9 @@ class TableLayout:
 
 @dataclass(frozen=True)
 class MessageLayouts:
-    """Messages of OSI that instances read and write, as (type, value references of address and size).
+    """OSI messages that FMU instances read and write, each as (FMI type, value references of address and size).
 
-    `static` are given once, before the initialization, with their bytes.
+    `static` messages are passed once, before the initialization, together with their bytes.
     """
 
     inputs: Sequence[MessageLayout] = ()
@@ -69,7 +72,7 @@ class MessageLayouts:
 
 @lru_cache(maxsize=1)
 def process_reaper() -> Reaper:
-    """Return what ends the processes, and removes the unpacked FMUs, when this process has ended."""
+    """Return the shared reaper, which ends FMU processes and removes unpacked FMUs after this process has ended."""
     reaper = Reaper()
     # At the end of the program, finalizers run in reverse order: those of processes come first.
     weakref.finalize(process_reaper, reaper.close)
@@ -77,15 +80,16 @@ def process_reaper() -> Reaper:
 
 
 class FmuProcesses:
-    """The instances of an FMU for the scenarios of a batch: in a few processes, or in one each if `once_per_process`.
+    """Pool of processes that run the instances of an FMU, one instance per scenario of a batch.
 
-    `timeout` is the time in s that a call of the FMU may take.
+    If `once_per_process`, each process runs one instance only. `timeout` is the longest time in s that a call of the
+    FMU may take.
     """
 
     def __init__(self, source: FmuSource, *, once_per_process: bool, timeout: float) -> None:
         self._source, self._once, self._timeout = source, once_per_process, timeout
         self._processes: list[_Process] = []
-        # Those of the current batch.
+        # Processes of the current batch.
         self._used: list[_Process] = []
         self._reset: bool | None = None
 
@@ -99,13 +103,16 @@ class FmuProcesses:
         steps: int,
         messages: MessageLayouts,
     ) -> None:
-        """Begin a batch; `FmuProcessError` if the FMU cannot be loaded, or if this needs too many processes.
+        """Begin a batch; `FmuProcessError` if the FMU cannot be loaded, or if too many processes are needed.
 
-        Parameters are (type, value reference, values); the values are one for all scenarios, or one for each.
+        `parameters` are (type, value reference, values), with one value for all scenarios or one per scenario. `step`
+        is the size of the FMU's steps in s, and `steps` their number in a time step of the simulator.
         """
         self._used = []
         if self._once and scenarios > MAX_PROCESSES:
-            raise FmuProcessError(f"the FMU wants a process for each of {scenarios} scenarios")
+            raise FmuProcessError(
+                f"the FMU needs a process for each of {scenarios} scenarios, but at most {MAX_PROCESSES} are allowed"
+            )
         n_processes = min(count_available_cpus(), -(-scenarios // _SCENARIOS_PER_PROCESS))
         bounds = np.linspace(0, scenarios, (scenarios if self._once else n_processes) + 1).astype(int).tolist()
         self._rows = [slice(*pair) for pair in pairwise(bounds)]
@@ -120,9 +127,10 @@ class FmuProcesses:
     def step(
         self, active: BoolArray, inputs: Sequence[npt.NDArray[Any]], messages: Sequence[Sequence[bytes]]
     ) -> dict[int, str]:
-        """Step the active scenarios; return by scenario how it failed. `FmuProcessError` if a process did not survive.
+        """Step the active scenarios; return the errors of failed scenarios, by scenario.
 
-        `messages` are those of each scenario. Outputs are in `read_outputs` and `read_messages` then.
+        Raises `FmuProcessError` if a process crashed or hung. `messages` are the OSI messages by scenario.
+        `read_outputs` and `read_messages` return the results of the step.
         """
         failures: dict[int, str] = {}
         try:
@@ -131,21 +139,21 @@ class FmuProcesses:
             for process, rows in zip(self._used, self._rows, strict=True):
                 failures |= {rows.start + row: text for row, text in process.finish_step().items()}
         except BaseException:
-            # Answers of the others would be taken for those of the next step.
+            # Pending answers of other processes would be mistaken for answers to the next step.
             self.close()
             raise
         return failures
 
     def read_outputs(self, table: int) -> npt.NDArray[Any]:
-        """Return the outputs of one table after a step, a row per scenario."""
+        """Return the FMU's outputs in table number `table` after a step, with a row per scenario."""
         return np.concatenate([process.outputs[table] for process in self._used])
 
     def read_messages(self) -> list[list[bytes]]:
-        """Return the messages that each scenario has written in a step."""
+        """Return the OSI messages that the FMU wrote in the last step, by scenario."""
         return [row for process in self._used for row in process.messages]
 
     def end_batch(self) -> None:
-        """End a batch; instances are kept if a reset of them gives the same bytes."""
+        """End a batch; instances are kept for reuse if they repeat the same outputs after a reset."""
         for process in self._used:
             try:
                 self._reset = process.end_batch(self._reset)
@@ -155,14 +163,14 @@ class FmuProcesses:
                 process.close()
 
     def close(self) -> None:
-        """End the processes."""
+        """End all processes."""
         for process in self._processes:
             process.close()
         self._processes, self._used = [], []
 
 
 class _Process:
-    """A process with instances of an FMU; it is started at once."""
+    """Child process with instances of an FMU; the constructor starts the process and loads the FMU."""
 
     def __init__(self, source: FmuSource, timeout: float) -> None:
         self._timeout = timeout
@@ -187,7 +195,7 @@ class _Process:
 
     @property
     def is_usable(self) -> bool:
-        """Whether the process still runs."""
+        """True if the process still runs."""
         return self._close.alive and self._process.poll() is None
 
     def begin_batch(
@@ -201,7 +209,7 @@ class _Process:
         messages: MessageLayouts,
         reset: bool | None,
     ) -> None:
-        """Begin a batch, as `FmuProcesses.begin_batch`."""
+        """Begin a batch as in `FmuProcesses.begin_batch`; `reset`: whether instances can be reused, None if unknown."""
         size, layouts = PROGRESS_BYTES + scenarios, list[list[Any]]()
         positions = list[int]()
         for table in (*inputs, *outputs):
@@ -210,13 +218,13 @@ class _Process:
             positions.append(size)
             layouts.append([table.kind, table.references, table.width, size])
             size += scenarios * table.width * np.dtype(table.dtype).itemsize
-        # Each batch has memory of its own: that of the last one may still be in use.
+        # Each batch has its own memory, since the memory of the last batch may still be in use.
         path, last = (self._folder / f"values-{self._n_batches - k}" for k in (0, 1))
         self._n_batches += 1
         path.write_bytes(bytes(size))
         with path.open("r+b") as file:
             self._memory = mmap.mmap(file.fileno(), 0)
-        # Windows keeps it as long as it is in use.
+        # Windows cannot remove a file that is in use.
         with suppress(OSError):
             last.unlink()
         self._progress = np.frombuffer(self._memory, np.int64, 2)
@@ -248,7 +256,7 @@ class _Process:
     def start_step(
         self, active: BoolArray, inputs: Sequence[npt.NDArray[Any]], messages: Sequence[Sequence[bytes]]
     ) -> None:
-        """Let the active scenarios step."""
+        """Send inputs and OSI messages, and start a step of the active scenarios; `finish_step` waits for its end."""
         self._active[:] = active
         for own, table in zip(self._inputs, inputs, strict=True):
             own[:] = table
@@ -257,7 +265,7 @@ class _Process:
         self._send(b"".join((b"\n", sizes.tobytes(), *flat)), self._timeout)
 
     def finish_step(self) -> dict[int, str]:
-        """Wait for the step, and return by scenario how it failed."""
+        """Wait for the end of the started step, and return the errors of failed scenarios, by scenario."""
         answer = self._receive()
         if self._n_messages:
             sizes = np.frombuffer(self._read(4 * self._n_messages * len(self.messages)), dtype=np.uint32)
@@ -270,7 +278,7 @@ class _Process:
         return {int(row): text for row, text in (answer or {}).items()}
 
     def end_batch(self, reset: bool | None) -> bool | None:
-        """End a batch; return whether instances may be reset, or None if that is not known."""
+        """End a batch; return whether instances can be reused after a reset, or None if this is unknown."""
         answer: bool | None = self._ask({"do": "end", "reset": reset})
         return answer
 
@@ -322,7 +330,7 @@ class _Process:
         return self._log.read().decode(errors="replace").splitlines()
 
     def look(self) -> tuple[bool, tuple[int, int]]:
-        """Return whether the process is at work, and a mark that changes as the work proceeds."""
+        """Return whether a request is pending, and numbers that change while the process makes progress."""
         progress = 0 if self._memory is None else int(self._progress[0])
         with suppress(OSError, ValueError):
             if self._log.seek(0, 2) > 10 * _MAX_LOG_BYTES:
@@ -330,13 +338,13 @@ class _Process:
         return self._is_busy, (self._requests, progress)
 
     def kill_as_hung(self) -> None:
-        """Kill the process, which does not answer."""
+        """Kill the process because it does not answer in time."""
         self._is_hung = True
         self._process.kill()
 
 
 def _kill_when_hung(reference: weakref.ref[_Process], timeout: float) -> None:
-    """Run in a thread: kill the process if a call takes longer than its limit; `timeout` is that of a step, in s."""
+    """Run in a thread: kill the process if a call exceeds its time limit; check every 0.1 `timeout` or 0.5 s."""
     mark, since = (-1, -1), 0.0
     while True:
         process = reference()
@@ -365,7 +373,7 @@ def _end_process(process: subprocess.Popen[bytes], log: Any, folder: Path) -> No
 
 
 def _format_log(lines: Sequence[str]) -> str:
-    """Return the last lines of a log for a message; an empty text if there are none."""
+    """Format the last lines of an FMU's log for an error message; an empty text if there are none."""
     plain = [" ".join(escape_control_characters(remove_folders(line)).split()) for line in lines[-_MAX_LINES:]]
     text = " | ".join(filter(None, plain))
     return f"; its log: {shorten(text, _MAX_LOG_LENGTH)}" if text else ""

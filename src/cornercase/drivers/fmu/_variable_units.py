@@ -1,4 +1,4 @@
-"""Units of FMU variables: how a number in them becomes one in SI units."""
+"""Units of FMU variables, with the factors and offsets that convert numbers to SI units."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Unit:
-    """A unit: ``SI value = factor * value + offset``; `exponents` are those of m, s and rad."""
+    """Unit of measurement: ``SI value = factor * value + offset``; `exponents` are the exponents of m, s and rad."""
 
     factor: float
     exponents: tuple[int, int, int]
@@ -28,7 +28,7 @@ SI: Final[Mapping[str, Unit]] = {
     "1/m": Unit(1.0, (-1, 0, 0)),
     "1": Unit(1.0, (0, 0, 0)),
 }
-"""Units of the quantities, by symbol."""
+"""SI units of the quantities that an FMU is given and of its decisions, by symbol."""
 KNOWN_UNITS: Final[Mapping[str, Unit]] = {
     **SI,
     "km": Unit(1000.0, (1, 0, 0)),
@@ -51,10 +51,10 @@ KNOWN_UNITS: Final[Mapping[str, Unit]] = {
     "%": Unit(0.01, (0, 0, 0)),
     "-": Unit(1.0, (0, 0, 0)),
 }
-"""Units that are known by their symbol alone, for FMUs that do not define them."""
+"""Known units by symbol, for FMUs that name a unit without defining it."""
 
 
 def fits(unit: Unit, symbol: str) -> bool:
-    """Return whether a unit measures what an SI unit of the table measures; radians count as numbers."""
+    """Return whether a unit has the same dimension as the SI unit `symbol`; radians count as dimensionless."""
     (*length_time, _), (*expected, _) = unit.exponents, SI[symbol].exponents
     return length_time == expected
