@@ -9,23 +9,24 @@ import numpy as np
 from cornercase._common.typing import BoolArray, FloatArray
 
 REACTION_TIME: Final = 0.75
-"""s."""
+"""Reaction time of the driver in s."""
 
 COMFORTABLE_DECELERATION, HARD_DECELERATION, OTHER_DECELERATION = 4.0, 6.0, 7.0
-"""Decelerations in m/s²: comfortable and hard ones of the driver, and of the vehicle ahead."""
+"""Decelerations in m/s²: comfortable and hard braking of the driver, and hard braking of the vehicle ahead."""
 
 SAFETY_MARGIN: Final = 2.0
-"""m; both the gap at rest and the margin of the comfortable distance."""
+"""Safety margin in m: the gap at rest, and the margin that is added to the comfortable distance."""
 
+# Time in s by which the driver must have passed before the other vehicle comes in.
 _LATERAL_RESERVE = 0.1
 
 
 def proactive_metric(gap: FloatArray, speed: FloatArray, other_speed: FloatArray) -> FloatArray:
-    """Proactive fuzzy surrogate safety metric (PFS): how unsafe the gap is if the leader brakes hard.
+    """Return the proactive fuzzy surrogate safety metric (PFS): how unsafe the gap is if the leader brakes hard.
 
-    It is 0 if comfortable braking is enough, and 1 if hard braking is not. `gap` is the bumper-to-bumper gap in m,
-    speeds are in m/s. Mattas et al., Fuzzy Surrogate Safety Metrics for real-time assessment of rear-end collision
-    risk, Accident Analysis & Prevention 148 (2020) 105794.
+    The metric is 0 if comfortable braking is enough, and 1 if hard braking is not enough. `gap` is the bumper-to-bumper
+    gap in m, speeds are in m/s. Mattas et al., Fuzzy Surrogate Safety Metrics for real-time assessment of rear-end
+    collision risk, Accident Analysis & Prevention 148 (2020) 105794.
     """
     room = gap - SAFETY_MARGIN
     lead = other_speed**2 / (2.0 * OTHER_DECELERATION)
@@ -37,11 +38,11 @@ def proactive_metric(gap: FloatArray, speed: FloatArray, other_speed: FloatArray
 def critical_metric(
     gap: FloatArray, speed: FloatArray, other_speed: FloatArray, acceleration: FloatArray
 ) -> FloatArray:
-    """Critical fuzzy surrogate safety metric (CFS): how unsafe the gap is if the leader keeps its speed.
+    """Return the critical fuzzy surrogate safety metric (CFS): how unsafe the gap is if the leader keeps its speed.
 
-    It is 0 if comfortable braking after the reaction time is enough, and 1 if hard braking is not. During the reaction
-    time the driver keeps its acceleration, but not less than -4 m/s². See Mattas et al. (2020), as in
-    `proactive_metric`.
+    The metric is 0 if comfortable braking after the reaction time is enough, and 1 if hard braking is not enough.
+    During the reaction time the driver keeps its acceleration, but not less than -4 m/s². `gap` is in m, speeds in m/s,
+    `acceleration` in m/s². See Mattas et al. (2020), as in `proactive_metric`.
     """
     a = np.maximum(acceleration, -COMFORTABLE_DECELERATION)
     closing, remaining = speed - other_speed, speed + a * REACTION_TIME - other_speed
@@ -63,11 +64,11 @@ def is_laterally_safe(
     closing_speed: FloatArray,
     total_length: FloatArray,
 ) -> BoolArray:
-    """Lateral safety check: the other vehicle is beside, and comes in only after the driver has passed it by 0.1 s.
+    """Return whether a vehicle next to the path never enters it, or more than 0.1 s after the driver has passed.
 
     `gap` and `lateral_gap` are the gaps between the boxes in m, negative if they overlap. `approach_speed` (towards the
-    path) and `closing_speed` are in m/s. `total_length` is the length of both boxes in m. UN Regulation No. 157, 01
-    series of amendments, Annex 3, Appendix 3: performance model 2.
+    path) and `closing_speed` are in m/s. `total_length` is the length of both boxes in m. See UN Regulation No. 157,
+    01 series of amendments, Annex 3, Appendix 3, performance model 2.
     """
     is_next_to = lateral_gap > 0.0
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -76,7 +77,7 @@ def is_laterally_safe(
 
 
 def _linear_membership(value: FloatArray, safe: FloatArray, unsafe: FloatArray) -> FloatArray:
-    """Fuzzy membership: 0 from `safe` upwards, 1 below `unsafe`, linear in between."""
+    """Return a fuzzy membership: 0 for a value of `safe` or more, 1 below `unsafe`, linear in between."""
     with np.errstate(divide="ignore", invalid="ignore"):
         share = (value - safe) / (unsafe - safe)
     return np.where(value >= safe, 0.0, np.where(value < unsafe, 1.0, share))

@@ -1,6 +1,6 @@
-"""The reference drivers of UN Regulation No. 157: what they consider unsafe, and how they react.
+"""Models of the reference drivers of UN Regulation No. 157: which motion is unsafe, and how the driver reacts.
 
-They depend only on the relative motion along and across the path, not on the scenario or the simulator.
+The models depend only on the relative motion along and across the path, not on the scenario or the simulator.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from cornercase.drivers.references.r157._fsm import (
 )
 
 GRAVITY: Final = 9.81
-"""m/s²."""
+"""Gravitational acceleration in m/s²."""
 
 FULL_BRAKING: Final = 0.774 * GRAVITY
-"""m/s²; UN Regulation No. 157, Annex 4, Appendix 3."""
+"""Deceleration of full braking in m/s²; UN Regulation No. 157, Annex 4, Appendix 3."""
 
 JERK: Final = 12.65
-"""m/s³; reaches full braking within 0.6 s."""
+"""Jerk of a brake application in m/s³; full braking is reached within 0.6 s."""
 
 URGENT_TIME_TO_COLLISION: Final = 2.0
 """Time to collision in s at or below which the careful and competent human brakes for a cut-in."""
@@ -57,9 +57,9 @@ class RelativeMotion(NamedTuple):
 
     `gap` and `lateral_gap`: gap in m between the boxes along and across the path. `gap` is negative if the other is
     beside or behind, `lateral_gap` if the boxes overlap laterally. `approach_speed`: speed of the other towards the
-    path in m/s. `speed` and `other_speed`: of driver and other along the path in m/s. `acceleration`: of the driver in
-    m/s². `total_length`: length of both boxes in m. `was_ahead`: whether the other has been in the corridor since it
-    was first seen, or entered it too early to count as a cut-in.
+    path in m/s. `speed` and `other_speed`: speeds of driver and other along the path in m/s. `acceleration`:
+    acceleration of the driver in m/s². `total_length`: length of both boxes in m. `was_ahead`: whether the other has
+    been in the driver's corridor since it was first seen, or cut in with a time to collision above 2 s.
     """
 
     gap: FloatArray
@@ -75,8 +75,8 @@ class RelativeMotion(NamedTuple):
 class SafetyAssessment(NamedTuple):
     """Assessment of a `RelativeMotion` by a reference driver; arrays of the same shape.
 
-    `deceleration`: deceleration in m/s² that the driver wants when it brakes. `proactive` and `critical`: fuzzy
-    metrics; 0 unless the driver is ``fsm``.
+    `unsafe`: whether the motion is unsafe for the driver. `deceleration`: deceleration in m/s² that the driver wants
+    when it brakes. `proactive` and `critical`: fuzzy metrics; 0 unless the driver is ``fsm`` (fuzzy safety model).
     """
 
     unsafe: BoolArray
@@ -103,11 +103,11 @@ class ReferenceModel:
 
 
 class BrakingReaction:
-    """State of a reference driver's reaction in N runs.
+    """State of a reference driver's reaction in N runs: a delay, then braking.
 
-    The delay begins at the first unsafe instant. Its time passes only at unsafe instants, and it never restarts. When
-    the situation is safe again, the driver keeps its speed. `reacted` (N,) says whether any instant so far was unsafe;
-    `delay` (N,) is the time in s that is left.
+    The delay begins at the first unsafe instant. The time of the delay passes only at unsafe instants, and the delay
+    never restarts. When the situation is safe again, the driver keeps its speed. `reacted` (N,) says
+    whether any instant so far was unsafe; `delay` (N,) is the time in s that is left.
     """
 
     def __init__(self, reference: ReferenceModel, runs: int) -> None:
@@ -133,10 +133,11 @@ class BrakingReaction:
 
 
 def rss_longitudinal_distance(speed: FloatArray, other_speed: FloatArray) -> FloatArray:
-    """Safe longitudinal distance in m of Responsibility-Sensitive Safety, for two vehicles in the same direction.
+    """Return the safe distance in m of Responsibility-Sensitive Safety for two vehicles in the same direction.
 
-    v τ + a τ²/2 + (v + a τ)²/(2 b) - v_other²/(2 b), with τ = 0.75 s, a = 3 m/s² and b = 6 m/s². Shalev-Shwartz,
-    Shammah, Shashua, On a Formal Model of Safe and Scalable Self-driving Cars, 2017, Definition 1.
+    v τ + a τ²/2 + (v + a τ)²/(2 b) - v_other²/(2 b), with v = `speed` and v_other = `other_speed` in m/s, τ = 0.75 s,
+    a = 3 m/s² and b = 6 m/s². Shalev-Shwartz, Shammah, Shashua, On a Formal Model of Safe and Scalable Self-driving
+    Cars, 2017, Definition 1.
     """
     risen = speed + RSS_ACCELERATION * RSS_TIME
     meanwhile = speed * RSS_TIME + RSS_ACCELERATION * RSS_TIME**2 / 2.0
@@ -144,27 +145,27 @@ def rss_longitudinal_distance(speed: FloatArray, other_speed: FloatArray) -> Flo
 
 
 def rss_lateral_distance(approach_speed: FloatArray) -> FloatArray:
-    """Safe lateral distance in m of Responsibility-Sensitive Safety, for a driver that keeps its path.
+    """Return the safe lateral distance in m of Responsibility-Sensitive Safety, for a driver that keeps its path.
 
-    0.3 + (2 u + a τ) τ/2 + (u + a τ)²/(2 a), where u is the other's speed towards the path, τ = 0.75 s and a = 1 m/s².
-    Shalev-Shwartz, Shammah, Shashua (2017), Definition 6.
+    0.3 + (2 u + a τ) τ/2 + (u + a τ)²/(2 a), with the other's speed u = `approach_speed` towards the path in m/s,
+    τ = 0.75 s and a = 1 m/s². Shalev-Shwartz, Shammah, Shashua (2017), Definition 6.
     """
     risen = approach_speed + _RSS_LATERAL_ACCELERATION * RSS_TIME
     return _RSS_MARGIN + (approach_speed + risen) * RSS_TIME / 2.0 + risen**2 / (2.0 * _RSS_LATERAL_ACCELERATION)
 
 
 def time_to_collision(motion: RelativeMotion) -> FloatArray:
-    """Time in s until the gap closes at constant speeds; infinite if it does not close."""
+    """Return the time in s until the gap closes at constant speeds; infinite if the gap does not close."""
     closing = motion.speed - motion.other_speed
     closes = (closing > 0.0) & (motion.gap > 0.0)
     return np.where(closes, motion.gap / np.where(closes, closing, 1.0), np.inf)
 
 
 def min_cut_in_time(closing_speed: float) -> float:
-    """Time to collision in s at the intrusion of a vehicle that cuts in, above which its collision must be avoided.
+    """Return the smallest time to collision in s, when a vehicle cuts in, at which a collision has to be avoided.
 
-    Δv / (2 · 6 m/s²) + 0.35 s, with the speed difference Δv in m/s. UN Regulation No. 157, 5.2.5.2; (EU) 2022/1426 has
-    the same condition.
+    Δv / (2 · 6 m/s²) + 0.35 s, with Δv = `closing_speed` in m/s. UN Regulation No. 157, 5.2.5.2; (EU) 2022/1426 has the
+    same condition.
     """
     return closing_speed / (2.0 * _DECELERATION_157) + _DELAY_157
 
@@ -217,13 +218,13 @@ def _cc_human_following_gap(speed: FloatArray) -> FloatArray:
 
 
 def _fsm_following_gap(speed: FloatArray) -> FloatArray:
-    """Smallest gap that is safe, with both margins, if the leader brakes as hard as it can."""
+    """Return the smallest gap in m that is safe, with both margins, if the leader brakes as hard as it can."""
     stops, other_stops = speed**2 / (2.0 * COMFORTABLE_DECELERATION), speed**2 / (2.0 * OTHER_DECELERATION)
     return np.asarray(speed * REACTION_TIME + stops - other_stops + 2.0 * SAFETY_MARGIN)
 
 
 def _rss_following_gap(speed: FloatArray) -> FloatArray:
-    """Smallest gap that is safe if the leader brakes during the response time."""
+    """Return the smallest gap in m that is safe if the leader brakes during the driver's response time."""
     braked = np.maximum(speed - RSS_BRAKING * RSS_TIME, 0.0)
     return RSS_BRAKING * RSS_TIME**2 / 2.0 + rss_longitudinal_distance(speed, braked)
 

@@ -1,4 +1,4 @@
-"""Preventability: whether the reference driver would have avoided the collision."""
+"""Preventability of a collision: whether a reference driver of UN Regulation No. 157 would have avoided it."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class ReferenceOutcome:
     """Outcome of a scenario with a reference driver in control of the ego.
 
     `collides` is None if the regulation does not define the reference driver for this scenario. `time` is the time of
-    the collision in s; it is given too where a later collision does not count, and `collides` is False.
+    the collision in s. If the regulation does not count a collision, `collides` is False, but `time` is given.
     """
 
     collides: bool | None
@@ -58,14 +58,14 @@ def assess_preventability(
     """Assess whether a reference driver in control of the ego avoids the collision.
 
     `run` is the recording with the reference driver, and `original` the recording with the original driver. `other` is
-    the entity that the ego meets; if there are several candidates and no collision, the nearest one counts.
+    the entity that the ego meets. With several candidates and no collision, the nearest candidate counts.
 
-    The reference drivers of UN Regulation No. 157 do not apply to every encounter. The entity that the ego meets, and
-    the entity that the reference driver collides with, must be motorway vehicles. They must not come from behind (with
-    the whole box behind the ego just before contact), and their directions must not differ by more than 45° from the
-    ego's within the last 3 s before they meet the ego.
+    The reference drivers of UN Regulation No. 157 do not apply to every encounter; `collides` is None if they do not.
+    The entity that the ego meets, and the entity that the reference driver collides with, must be motorway vehicles.
+    Neither may come from behind (with the whole box behind the ego just before contact). The directions of these
+    entities and of the ego must not differ by more than 45° within the last 3 s before the encounter.
 
-    If the time to collision is above 2 s when a vehicle cuts in, the encounter ends without danger for `cc-human`.
+    If the time to collision is above 2 s when a vehicle cuts in, the encounter ends without danger for ``cc-human``.
     Later collisions with that vehicle do not count (Annex 4, Appendix 3).
     """
     name = driver.partition(":")[0]
@@ -102,7 +102,7 @@ def _collision_partner(collision: Collision, ego: str) -> str:
 def _nearest_other(recording: Recording, ego: str, others: Sequence[str]) -> tuple[str, float]:
     """Return the name of the nearest entity, and the time in s of the smallest distance.
 
-    The first ones if none exists.
+    If no entity ever exists, return the first name and the first time.
     """
     distances = np.stack([np.hypot(*(recording.box_center(name) - recording.box_center(ego)).T) for name in others])
     row, column = np.unravel_index(np.where(np.isnan(distances), np.inf, distances).argmin(), distances.shape)
@@ -110,7 +110,7 @@ def _nearest_other(recording: Recording, ego: str, others: Sequence[str]) -> tup
 
 
 def _is_covered_by_regulation(recording: Recording, ego: str, other: str, time: float) -> bool:
-    """Check whether the regulation's models cover the encounter of two entities."""
+    """Return whether UN Regulation No. 157 covers the encounter of ego and other at `time` in s."""
     i, j = recording.entity_index(ego), recording.entity_index(other)
     if recording.object_types[j] in _NON_MOTORWAY_TYPES:
         return False
@@ -129,7 +129,7 @@ def _is_covered_by_regulation(recording: Recording, ego: str, other: str, time: 
 
 
 def _is_cut_in_over_before(run: Recording, ego: str, hit_collision: Collision) -> bool:
-    """Check whether the vehicle in a collision cut in earlier without danger; such a collision does not count."""
+    """Return whether the vehicle that the ego hits had cut in without danger, so that the collision does not count."""
     i, other_rows = run.entity_index(ego), [k for k, name in enumerate(run.names) if name != ego]
     valid = np.isfinite(run.x[i]) & (run.time <= hit_collision.time + _TIME_TOLERANCE)
     situation = _situations_over_time(run, i, other_rows, valid)
@@ -144,7 +144,7 @@ def _is_cut_in_over_before(run: Recording, ego: str, hit_collision: Collision) -
 
 
 def _situations_over_time(run: Recording, ego_row: int, other_rows: list[int], is_present: BoolArray) -> Situation:
-    """Return the situation at each instant of a recording, as parallel scenarios; the path is the driven one."""
+    """Return the instants of a recording as parallel scenarios of one situation; the path is the path driven."""
     x, y, heading = run.x[ego_row, is_present], run.y[ego_row, is_present], run.heading[ego_row, is_present]
     zeros = np.zeros(len(x))
     return Situation(

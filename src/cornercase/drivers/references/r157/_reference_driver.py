@@ -29,7 +29,7 @@ class ReferenceDriver(VariedDriver):
     name : {"cc-human", "fsm", "rss", "reg157"}
         Careful and competent human, fuzzy safety model, Responsibility-Sensitive Safety, reaction time of 5.2.5.2.
     delay : float, optional
-        Time in s from the first unsafe instant to braking; the regulation's by default.
+        Time in s from the first unsafe instant to braking; by default the delay in the regulation.
 
     Raises
     ------
@@ -69,13 +69,13 @@ class ReferenceDriver(VariedDriver):
         return self._text
 
     def start(self, scenarios: int, others: int) -> None:
-        """Reset all state for a batch of N scenarios with A other entities in each."""
+        """Reset all state for a batch with the given numbers of scenarios, and of other entities in each scenario."""
         self._reaction = BrakingReaction(self._reference, scenarios)
         self._surroundings = RelativeMotionTracker(scenarios, others)
         self._acceleration = np.zeros(scenarios)
 
     def vary(self, options: Sequence[Mapping[str, float]]) -> None:
-        """Give the started driver its delay in each of the N scenarios."""
+        """Set the delay of the started driver in each scenario."""
         self._reaction.delay[:] = [changed["delay"] for changed in options]
 
     def acceleration(self, situation: Situation) -> FloatArray:

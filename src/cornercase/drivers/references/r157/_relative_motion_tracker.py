@@ -12,6 +12,7 @@ from cornercase.drivers._base import DrivenPath, Situation
 from cornercase.drivers.references.r157._models import URGENT_TIME_TO_COLLISION, RelativeMotion, time_to_collision
 from cornercase.drivers.references.r157._scenarios import WANDERING
 
+# Distance in m between the samples of a path.
 _SPACING = 0.5
 # Number of scenarios processed at once if the path differs between them.
 _CHUNK_SIZE = 256
@@ -21,7 +22,7 @@ _GAP_TOLERANCE, _MIN_CLOSING_SPEED = 1e-3, 0.1
 
 
 class RelativeMotionTracker:
-    """Tracks A other entities in N scenarios from one time step to the next."""
+    """Tracker of the motion of A other entities relative to the ego's path, in N scenarios over time."""
 
     def __init__(self, scenarios: int, others: int) -> None:
         self._time = np.full(scenarios, np.nan)
@@ -29,9 +30,9 @@ class RelativeMotionTracker:
         self._was_seen, self._was_next_to, self._was_ahead = np.zeros((3, scenarios, others), dtype=np.bool_)
 
     def relative_motion(self, situation: Situation, acceleration: FloatArray) -> RelativeMotion:
-        """Return the relative motion in this time step, shape (N, A), and remember it in active scenarios.
+        """Return the relative motion in this time step, shape (N, A), and update the history of active scenarios.
 
-        It is NaN if another entity does not exist, or is hidden behind a vehicle in the middle of the corridor.
+        Gaps are NaN if an entity does not exist, or is hidden behind a vehicle in the middle of the corridor.
         `acceleration` (N,) is the acceleration of the driver in m/s².
         """
         s = situation
@@ -65,9 +66,9 @@ class RelativeMotionTracker:
     def _velocity(
         self, situation: Situation, x: FloatArray, y: FloatArray, direction: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the speeds along and across the path in m/s.
+        """Return the speeds of the others along and across the path in m/s.
 
-        They follow from the previous positions, or from heading and speed if these are unknown.
+        The speeds follow from the previous positions, or from heading and speed if no previous position is known.
         """
         has_previous = np.isclose(
             self._time, situation.time - situation.time_step, rtol=0.0, atol=1e-3 * situation.time_step
@@ -96,7 +97,7 @@ class RelativeMotionTracker:
 
 
 class _ProjectionPath:
-    """A finely sampled path, for projecting points onto it."""
+    """Finely sampled path onto which points are projected."""
 
     def __init__(self, path: DrivenPath) -> None:
         columns = (path.distance, path.x, path.y, path.heading)
@@ -110,9 +111,9 @@ class _ProjectionPath:
             self._tree = None
 
     def project(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return distance along the path and distance to its left in m, and its direction in rad.
+        """Project points onto the path: return distance along the path, distance to its left, and direction in rad.
 
-        Shape (N,) or (N, A).
+        Distances are in m. All arrays have the shape (N,) or (N, A) for N scenarios and A entities.
         """
         is_present = np.isfinite(x) & np.isfinite(y)
         known_x, known_y = np.where(is_present, x, 0.0), np.where(is_present, y, 0.0)
@@ -158,7 +159,7 @@ def _box_center(
 
 
 def _find_hidden(gap: FloatArray, lateral_distance: FloatArray, in_corridor: BoolArray) -> BoolArray:
-    """Return which entities in the corridor are behind a nearer entity in the middle of it, bool (N, A)."""
+    """Return which entities in the corridor are behind a nearer entity in the middle of the corridor, bool (N, A)."""
     gaps = np.where((lateral_distance <= WANDERING) & (gap > 0.0), gap, np.inf)
     nearest = gaps.min(axis=1, keepdims=True, initial=np.inf)
     return np.asarray(in_corridor & (gap > nearest))

@@ -1,4 +1,4 @@
-"""Reference drivers in the three scenarios of the regulation, simulated at 10 Hz without a scenario file."""
+"""Reference drivers in the three scenarios of UN Regulation No. 157, simulated at 10 Hz without a scenario file."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from cornercase.drivers.references.r157._models import (
 )
 
 TIME_STEP: Final = 0.1
-"""s."""
+"""Time step in s."""
 
 MAX_STEPS: Final = 350
 """Maximum number of time steps of a run."""
@@ -32,22 +32,23 @@ LANE: Final = 3.5
 """Lane width in m."""
 
 WANDERING: Final = 0.375
-"""Offset in m from the lane centre from which a car counts as cutting in or out; Annex 4, Appendix 3."""
+"""Offset in m from the lane centre from which a car cuts in or out; UN Regulation No. 157, Annex 4, Appendix 3."""
 
 # Increase of the lateral speed in m/s per time step, at 1.5 m/s².
 _LATERAL_SPEED_STEP = 0.15
 
 
 class EncounterOutcome(NamedTuple):
-    """Results of N encounters.
+    """Results of N simulated encounters of a reference driver with another car.
 
     Attributes
     ----------
     crash : ndarray of bool, shape (N,)
-        Whether the ego touches another vehicle.
+        True if the ego touches another vehicle.
     proactive, critical : ndarray of float64, shape (N,)
-        Fuzzy surrogate safety metrics of `fsm`, 0 for other models: the maximum of the run; in a cut-out, the values
-        with respect to the standing car when the car ahead leaves the middle of its lane, or 0 if that car crashes.
+        Fuzzy surrogate safety metrics of the driver ``fsm``; 0 for other drivers. Usually the maximum of the run. In a
+        cut-out, the values towards the standing car when the car ahead leaves the middle of its lane, or 0 if the car
+        ahead crashes.
     gap : ndarray of float64, shape (N,)
         Initial gap in m to the car ahead.
 
@@ -79,16 +80,16 @@ def drive_cut_in(
     name : str
         Name of a reference driver.
     speed, other_speed : ndarray of float64, shape (N,)
-        In m/s.
+        Initial speed of the ego, and speed of the other car, in m/s.
     gap : ndarray of float64, shape (N,)
-        Bumper-to-bumper gap in m when the other has reached its lateral speed, still one lane width aside.
+        Bumper-to-bumper gap in m when the other car has reached its lateral speed, still one lane width aside.
     lateral_speed : ndarray of float64, shape (N,)
-        In m/s.
+        Final lateral speed of the other car in m/s.
 
     Returns
     -------
     EncounterOutcome
-        A run of `cc-human` ends without a crash if the time to collision at the intrusion is above 2 s.
+        A run of ``cc-human`` ends without a crash if the time to collision at the cut-in is above 2 s.
 
     References
     ----------
@@ -156,8 +157,8 @@ def drive_cut_out(name: str, speed: FloatArray, front_gap: FloatArray, lateral_s
     speed : ndarray of float64, shape (N,)
         Speed in m/s of the ego and of the car that it follows.
     front_gap : ndarray of float64, shape (N,)
-        Gap in m from that car to the standing car, as if the standing car were 4.3 m long; it is 5 m long, with the
-        same middle.
+        Gap in m from the followed car to a standing car of 4.3 m length. The simulated standing car is 5 m long, with
+        the same centre.
     lateral_speed : ndarray of float64, shape (N,)
         Lateral speed in m/s of the cut-out, from the start.
 
@@ -219,9 +220,9 @@ def drive_deceleration(name: str, speed: FloatArray, deceleration: FloatArray) -
     name : str
         Name of a reference driver.
     speed : ndarray of float64, shape (N,)
-        Speed in m/s of both.
+        Initial speed in m/s of both cars.
     deceleration : ndarray of float64, shape (N,)
-        In units of 9.81 m/s².
+        Deceleration of the car ahead, in units of 9.81 m/s².
 
     Returns
     -------
@@ -258,7 +259,7 @@ def drive_deceleration(name: str, speed: FloatArray, deceleration: FloatArray) -
 
 
 def _lateral_ramp(lateral_speed: FloatArray) -> tuple[BoolArray, FloatArray]:
-    """Return when the lateral speed still rises, bool (steps, N), and the lateral distance covered by then, (N,)."""
+    """Return a mask of time steps in which the lateral speed rises, (steps, N), and the distance in m so far, (N,)."""
     steps = np.ceil(lateral_speed / _LATERAL_SPEED_STEP)
     instants = np.arange(max(int(steps.max(initial=0.0)), 1))[:, None]
     rising = instants < steps
