@@ -1,1 +1,1 @@
-"""Sensors, which stand between the true traffic and a driver."""
+"""Sensors: models of what a driver knows about the true traffic."""

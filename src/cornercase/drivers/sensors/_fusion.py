@@ -1,4 +1,4 @@
-"""What the sensors of an entity know together, as the situation that its driver is given."""
+"""Fusion of the sensors of an entity into the situation that the driver of the entity is given."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ _FIELDS: Final = ("x", "y", "heading", "speed", "measured_at")
 
 
 class SensorFusion:
-    """Sensors of one entity: an object is known if one of them knows it.
+    """Fusion of the sensors of one entity: an object is known if at least one sensor knows the object.
 
-    The newest measurement counts; of measurements at the same time, that of the sensor listed first.
+    For each object, the newest measurement is used. If several are equally new, the sensor that is listed first counts.
     """
 
     def __init__(self, sensors: Sequence[Sensor]) -> None:
@@ -33,9 +33,9 @@ class SensorFusion:
         return len(self._sensors)
 
     def start(self, start: Start, parameters: Sequence[Mapping[str, FloatArray]] = ()) -> Start:
-        """Reset the sensors for a batch; return what the driver is told of it, with the names of false objects.
+        """Reset the sensors for a batch; return `start` for the driver, with the names of false objects in `others`.
 
-        `parameters` are those of each sensor, as in `Start`; by default all have the same ones.
+        `parameters` are the `Start.parameters` of each sensor; by default all sensors are given `start.parameters`.
         """
         own_parameters = parameters or [start.parameters] * len(self._sensors)
         self._false_names: tuple[str, ...] = ()
@@ -45,7 +45,7 @@ class SensorFusion:
         return replace(start, others=start.others + self._false_names)
 
     def perceive(self, situation: Situation) -> Situation:
-        """Return the situation as sensed; false objects are appended to the others."""
+        """Return the situation as known by the sensors; false objects are appended to the other entities."""
         if not self._sensors:
             return situation
         n_others, sensed = situation.others_x.shape[1], [sensor.perceive(situation) for sensor in self._sensors]
@@ -75,7 +75,7 @@ def _append(values: FloatArray, value: float, count: int) -> FloatArray:
 
 
 def _label_sensors(sensors: Sequence[Sensor]) -> list[str]:
-    """Return a name for each sensor; several of a kind are numbered."""
+    """Return a name for each sensor, such as ``"radar"``, and ``"radar 2"`` for a second radar."""
     seen, labels = Counter[str](), list[str]()
     for sensor in sensors:
         kind = sensor.name.partition(":")[0] or type(sensor).__name__

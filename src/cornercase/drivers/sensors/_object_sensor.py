@@ -12,7 +12,7 @@ from cornercase.drivers._base import Situation
 from cornercase.drivers._function import Start
 from cornercase.drivers.sensors._sensor import SensedObjects, Sensor
 
-# False objects that a sensor may see at the same time; one more replaces the oldest.
+# False objects that a sensor may see at the same time; a further one replaces the oldest.
 _MAX_FALSE_OBJECTS: Final = 4
 # Cycles for which random numbers are drawn at once.
 _CYCLES_AHEAD: Final = 16
@@ -27,36 +27,37 @@ _LIMITS: Final[dict[str, dict[str, float]]] = {
     "yaw": {},
     "miss": {"minimum": 0.0, "maximum": 1.0},
 }
-# Longer than any object is missed.
+# Number of missed cycles of an object that was never detected: more than any real number.
 _NEVER: Final = 1 << 30
 
 
 class ObjectSensor(Sensor):
-    """Measures position, heading and speed of the objects that are in its field of view, in range and not hidden.
+    """Sensor that measures position, heading and speed of objects in its field of view, in range and not hidden.
 
     The sensor measures in cycles. An object is detected if one of five points of its box (centre and corners) is in
-    sight, unless it is missed. It is known after `birth` cycles with a detection in a row, and forgotten after `death`
-    cycles without one in a row. Between measurements it is assumed to go on at its measured speed and heading. The
-    driver is given what was known `latency` earlier.
+    sight, unless the sensor misses the object at random. An object is known after `birth` cycles in a row with a
+    detection, and forgotten after `death` cycles in a row without a detection. Between measurements, the sensor assumes
+    that a known object keeps its measured speed and heading. The driver is given what was known `latency` s earlier.
 
     Parameters
     ----------
     fov : float, default 360
         Full angle of the field of view in degrees, up to 360.
     range : float, default 100
-        In m.
+        Largest distance in m at which objects are seen.
     x : float, optional
-        Position ahead of the ego's reference point in m; by default at a place of its box.
+        Position ahead of the ego's reference point in m; by default the centre of the ego's box, and for subclasses
+        another point on its axis.
     y : float, default 0
         Position to the left of the ego's reference point in m.
     yaw : float, default 0
         Direction relative to the ego's heading in degrees, positive to the left.
     period : float, default 0.05
-        Duration of a cycle in s; it measures in the first time step of each.
+        Duration of a cycle in s; the sensor measures in the first time step of each cycle.
     latency : float, default 0
-        Time from a measurement to the driver in s, rounded up to time steps.
+        Time in s until the driver is given a measurement, rounded up to time steps.
     birth, death : int, default 1
-        Cycles in a row until an object is known, and until it is forgotten.
+        Cycles in a row with a detection until an object is known, and without a detection until it is forgotten.
     miss : float, default 0
         Probability that an object in sight is not detected in a cycle.
     false_rate : float, default 0
@@ -66,7 +67,7 @@ class ObjectSensor(Sensor):
     speed_noise : float, default 0
         Standard deviation of a measured speed in m/s.
     occlusion : bool, default True
-        Whether other objects hide what is behind them.
+        Whether objects hide other objects behind them.
 
     Raises
     ------
@@ -129,9 +130,9 @@ class ObjectSensor(Sensor):
         Parameters
         ----------
         start : Start
-            What is known then.
+            Description of the batch.
         label : str
-            Purpose of the random numbers.
+            Name of the sensor, with which its random numbers are seeded.
         """
         self._time_step = start.time_step
         self._option = {name: self._values(start, name) for name in self._given}
@@ -150,24 +151,24 @@ class ObjectSensor(Sensor):
         self._motion, self._measured_at = np.full((4, *shape), np.nan), np.full(shape, np.nan)
         self._n_hits, self._n_missed = np.zeros(shape, dtype=np.int64), np.full(shape, _NEVER)
         self._known = np.zeros(shape, dtype=np.bool_)
-        # What was known in the last steps, until the driver is given it, and the number of each step.
+        # Ring buffer of what was known in the last steps, for the latency, and the number of each step.
         length = int(self._delay.max(initial=0)) + 1
         self._history, self._history_step = np.full((length, 5, *shape), np.nan), np.full((length, n), -1)
 
     def _values(self, start: Start, name: str) -> FloatArray:
-        """Return an option by scenario, shape (N,)."""
+        """Return the value of an option in each of N scenarios, shape (N,)."""
         value = self._given[name]
         if value is None:
             value = start.body.center_x + 0.5 * self._default_position * start.body.length
         return np.asarray(start.parameters.get(name, np.full(start.scenarios, value)), dtype=np.float64)
 
     def perceive(self, situation: Situation) -> SensedObjects:
-        """Return what the sensor knows.
+        """Measure where a new cycle begins, and return the objects that the driver is given after the latency.
 
         Parameters
         ----------
         situation : Situation
-            As it is.
+            True situation.
 
         Returns
         -------
@@ -193,13 +194,13 @@ class ObjectSensor(Sensor):
         return SensedObjects(*delayed.transpose(1, 0, 2))
 
     def _forget(self, rows: BoolArray) -> None:
-        """Start anew in scenarios of a mask: the sensor was not running in the step before."""
+        """Forget all objects in the scenarios of a mask, in which the sensor did not run in the previous step."""
         self._cycle[rows] = -1
         self._n_hits[rows], self._n_missed[rows], self._known[rows] = 0, _NEVER, False
         self._history_step[:, rows] = -1
 
     def _measure(self, situation: Situation, rows: IntArray) -> None:
-        """Measure in the scenarios of these rows."""
+        """Measure the objects in the scenarios `rows`, and update which objects are known."""
         s, shape = situation, (len(rows), self._known.shape[1])
         n_others = s.others_x.shape[1]
         detected, motion = np.zeros(shape, dtype=np.bool_), np.full((4, *shape), np.nan)
@@ -229,7 +230,7 @@ class ObjectSensor(Sensor):
         self._measured_at[rows] = np.where(detected, s.time, self._measured_at[rows])
 
     def _find_in_sight(self, situation: Situation, rows: IntArray, pose: FloatArray) -> BoolArray:
-        """Tell which objects are in sight from a pose, (R, 3), shape (R, A)."""
+        """Return which of A objects are in sight in R scenarios, shape (R, A); `pose` of the sensor: shape (R, 3)."""
         # Its kernels take long to import.
         from cornercase.drivers._kernels.visibility import find_visible_others
 
@@ -237,7 +238,7 @@ class ObjectSensor(Sensor):
         others = np.stack((s.others_x, s.others_y, s.others_heading), axis=1)[rows]
         boxes = np.stack((s.others_length, s.others_width, s.others_center_x))
         fov, sight_range = np.deg2rad(self._option["fov"][rows]), self._option["range"][rows]
-        # One at a time, they do not hide each other.
+        # Objects that are checked one at a time do not hide each other.
         groups = [slice(None)] if self._occlusion else [slice(a, a + 1) for a in np.arange(others.shape[2])]
         seen = [
             find_visible_others(
@@ -250,9 +251,10 @@ class ObjectSensor(Sensor):
     def _draw_false_objects(
         self, draws: FloatArray, situation: Situation, rows: IntArray, pose: FloatArray
     ) -> tuple[IntArray, IntArray, FloatArray]:
-        """Return where false objects appear: places in `rows`, columns, and motion, shape (4, F).
+        """Draw new false objects: return indices in `rows`, columns, and x, y, heading, speed, shape (4, number).
 
-        At most one appears in a cycle, anywhere in the field of view, in the ego's direction and not faster than it.
+        At most one false object appears per cycle and scenario, anywhere in the field of view. A false object has the
+        ego's heading, and is not faster than the ego.
         """
         interval = np.maximum(self._option["period"], self._time_step)
         chance = -np.expm1(-self._option["false_rate"] * interval)[rows]
@@ -267,7 +269,10 @@ class ObjectSensor(Sensor):
         return appears, columns, np.stack((x, y, situation.heading[chosen], speed * situation.speed[chosen]))
 
     def _predict(self, time: float, rows: IntArray) -> FloatArray:
-        """Return state and time of measurement of what is known, NaN for the rest, shape (5, R, A + F)."""
+        """Extrapolate known objects to `time`: return x, y, heading, speed and time of measurement in R scenarios.
+
+        The shape is (5, R, A + F) for A other entities and F false objects; NaN for objects that are not known.
+        """
         (x, y, heading, speed), measured_at = self._motion[:, rows], self._measured_at[rows]
         driven = speed * (time - measured_at)
         state = np.stack((x + driven * np.cos(heading), y + driven * np.sin(heading), heading, speed, measured_at))
@@ -275,22 +280,22 @@ class ObjectSensor(Sensor):
 
 
 class Radar(ObjectSensor):
-    """Radar at the front: an `ObjectSensor` with the defaults below, and its other options.
+    """Radar at the ego's front: an `ObjectSensor` with other defaults, which are listed below.
 
     Parameters
     ----------
     fov : float, default 60
         Full angle of the field of view in degrees.
     range : float, default 160
-        In m.
+        Largest distance in m at which objects are seen.
     period : float, default 0.07
         Duration of a cycle in s.
     latency : float, default 0.1
-        Time from a measurement to the driver in s.
+        Time in s until the driver is given a measurement.
     birth, death : int, default 3 and 5
-        Cycles in a row until an object is known, and until it is forgotten.
+        Cycles in a row with a detection until an object is known, and without a detection until it is forgotten.
     **options
-        Options of `ObjectSensor`.
+        Other options of `ObjectSensor`.
 
     Examples
     --------
@@ -319,22 +324,22 @@ class Radar(ObjectSensor):
 
 
 class Camera(ObjectSensor):
-    """Camera behind the windscreen: an `ObjectSensor` with the defaults below, and its other options.
+    """Camera behind the ego's windscreen: an `ObjectSensor` with other defaults, which are listed below.
 
     Parameters
     ----------
     fov : float, default 100
         Full angle of the field of view in degrees.
     range : float, default 100
-        In m.
+        Largest distance in m at which objects are seen.
     period : float, default 0.05
         Duration of a cycle in s.
     latency : float, default 0.15
-        Time from a measurement to the driver in s.
+        Time in s until the driver is given a measurement.
     birth, death : int, default 3 and 5
-        Cycles in a row until an object is known, and until it is forgotten.
+        Cycles in a row with a detection until an object is known, and without a detection until it is forgotten.
     **options
-        Options of `ObjectSensor`.
+        Other options of `ObjectSensor`.
 
     Examples
     --------
@@ -363,20 +368,20 @@ class Camera(ObjectSensor):
 
 
 class Lidar(ObjectSensor):
-    """Lidar on the roof: an `ObjectSensor` with the defaults below, and its other options.
+    """Lidar on the ego's roof: an `ObjectSensor` with other defaults, which are listed below.
 
     Parameters
     ----------
     range : float, default 120
-        In m.
+        Largest distance in m at which objects are seen.
     period : float, default 0.1
         Duration of a cycle in s.
     latency : float, default 0.1
-        Time from a measurement to the driver in s.
+        Time in s until the driver is given a measurement.
     birth, death : int, default 2 and 3
-        Cycles in a row until an object is known, and until it is forgotten.
+        Cycles in a row with a detection until an object is known, and without a detection until it is forgotten.
     **options
-        Options of `ObjectSensor`.
+        Other options of `ObjectSensor`.
 
     Examples
     --------
@@ -403,7 +408,10 @@ class Lidar(ObjectSensor):
 
 
 class _Draws:
-    """Random numbers of N scenarios, of some shape in each cycle; drawn ahead, from a generator of each scenario."""
+    """Random numbers for N scenarios: an array of `shape` for each cycle of a sensor, drawn several cycles ahead.
+
+    Each scenario has its own generator, so that its numbers do not depend on the batch.
+    """
 
     def __init__(
         self, start: Start, purpose: str, kind: Literal["random", "standard_normal"], shape: tuple[int, ...]
@@ -413,7 +421,7 @@ class _Draws:
         self._next = np.full(start.scenarios, _CYCLES_AHEAD)
 
     def take(self, rows: IntArray) -> FloatArray:
-        """Return the numbers of the next cycle in scenarios of these rows, shape (R, ...)."""
+        """Return the random numbers of the next cycle for the R scenarios `rows`, shape (R, ...)."""
         for n in rows[self._next[rows] == _CYCLES_AHEAD].tolist():
             self._ahead[n] = self._sources[n](self._ahead.shape[1:])
             self._next[n] = 0

@@ -1,4 +1,4 @@
-"""Base class of sensors, which stand between the true traffic and a driver."""
+"""Base class of sensors, which turn the true traffic into the objects that a driver knows."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from cornercase.drivers._function import Start
 
 @dataclass(frozen=True, eq=False)
 class SensedObjects:
-    """What a sensor knows of A other entities and F false objects, in N scenarios.
+    """Objects that a sensor knows in N scenarios: A other entities, and F false objects that do not exist.
 
     Attributes
     ----------
@@ -42,17 +42,17 @@ class SensedObjects:
 
 
 class Sensor(Configurable, ABC):
-    """Turns the true situation into what a driver is given, for all concrete scenarios of a batch.
+    """Base class of sensors, which turn the true situation into what a driver knows, for all scenarios of a batch.
 
     All numeric options of the constructor can be dimensions of a search: `start.parameters` then has one value for each
-    scenario. Random numbers come from `Start.generator` alone.
+    scenario. Take random numbers from `Start.generator` only.
 
     Attributes
     ----------
     name : str
-        As registered.
+        Name under which the sensor is registered.
     is_random : bool
-        Whether runs with other seeds differ.
+        True if runs with different seeds can differ.
     random_options : frozenset of str
         Options that make the sensor random if they are above 0.
     false_objects : int
@@ -89,22 +89,23 @@ class Sensor(Configurable, ABC):
         Parameters
         ----------
         start : Start
-            What is known then.
+            Description of the batch.
         label : str
-            Its name among the sensors of the entity, such as ``"radar 2"``; the purpose of its random numbers.
+            Name of this sensor among the sensors of the entity, such as ``"radar 2"``; begin the `purpose` in
+            `Start.generator` with this label.
         """
 
     @abstractmethod
     def perceive(self, situation: Situation) -> SensedObjects:
-        """Return what the sensor knows.
+        """Return the objects that the sensor knows.
 
-        It is called in each step once per path, with the mask ``active`` of the scenarios that take the step; the state
-        of all other scenarios must not change.
+        In each time step, the method is called once per path of the ego, with the mask ``active`` of the scenarios on
+        this path. The state of all other scenarios must not change.
 
         Parameters
         ----------
         situation : Situation
-            As it is.
+            True situation.
 
         Returns
         -------
