@@ -237,7 +237,7 @@ def test_its_own_step_size_does_not_slow_it_down(folder, tmp_path, any_step):
     """An update is relative to the message, which is new in each step of the simulator only."""
     fmu = make_osmp_fmu(tmp_path / "osmp.fmu", step_size=0.02, any_step=any_step)
     if not any_step:
-        with pytest.raises(cc.InputError, match=r"steps of 0\.02 s, .* time step 0\.02"):
+        with pytest.raises(cc.InputError, match=r"steps of 0\.02 s, .* time step to 0\.02"):
             drive(FmuDriver(str(fmu)), time_step=0.1)
     recording = drive(FmuDriver(str(fmu)), time_step=0.1 if any_step else 0.02, duration=2.0)
     moved = np.diff(ego(recording, "x")) / np.diff(recording.time)

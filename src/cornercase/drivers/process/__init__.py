@@ -1,1 +1,1 @@
-"""Driving functions in a process of their own, which speaks a protocol."""
+"""Driving functions that run as external programs and exchange messages with cornercase."""

@@ -1,4 +1,4 @@
-"""Copy the files that programs need for the protocol: ``python -m cornercase.drivers.process FOLDER``."""
+"""Copy the client files of the protocol for driving programs: ``python -m cornercase.drivers.process FOLDER``."""
 
 from __future__ import annotations
 

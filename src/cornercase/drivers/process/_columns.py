@@ -1,4 +1,4 @@
-"""What a program is told about the traffic in each step: a table of columns of numbers."""
+"""Table of numbers about the traffic that an external driving program is sent in each step, column by column."""
 
 from __future__ import annotations
 
@@ -21,7 +21,11 @@ _PER_SCENARIO: Final = (
 
 @dataclass(frozen=True)
 class Column:
-    """Numbers of a step, one per scenario (`M`), and per other entity (`M, A`) or point ahead (`M, K`)."""
+    """Column of the table of numbers that a driving program is sent in each step.
+
+    `shape`: a number per scenario (``"M"``), per scenario and other entity (``"M, A"``), or per scenario and point of
+    the path ahead (``"M, K"``).
+    """
 
     name: str
     shape: Literal["M", "M, A", "M, K"]
@@ -31,7 +35,7 @@ class Column:
 
 
 def _leader(shared: SharedView) -> IntArray:
-    """Number of the leader among the others, as `View.leader`; -1 if there is none."""
+    """Return the index of the leader (nearest entity ahead in the ego's path) among the others; -1 if there is none."""
     gap, _, _, in_path = shared.along_path
     x, y, _ = shared.relative
     if not gap.shape[1]:
@@ -86,18 +90,18 @@ COLUMNS: Final = {
                " path, else 0", lambda v: v.along_path[3]),
     )
 }  # fmt: skip
-"""Columns by name."""
+"""Columns of the table by name."""
 PATH_COLUMNS: Final = {
     "path_x": ("m", "point of the ego's path, ahead of the ego's reference point"),
     "path_y": ("m", "point of the ego's path, to the left of the ego's reference point"),
     "path_heading": ("rad", "direction of the path there, relative to the ego's heading"),
     "path_curvature": ("1/m", "curvature of the path there, positive to the left"),
 }
-"""Unit and meaning of the columns (M, K) about the K points of the path that a program asks for."""
+"""Unit and meaning of the columns about the path, shape (M, K): M scenarios, K points that a program asks for."""
 
 
 def select_rows(situation: Situation, rows: IntArray) -> Situation:
-    """Return the situation of some scenarios only."""
+    """Return a situation reduced to the scenarios with the indices `rows`."""
     if len(rows) == len(situation.active):
         return situation
     path = situation.path
@@ -112,7 +116,7 @@ def select_rows(situation: Situation, rows: IntArray) -> Situation:
 
 
 def compute_columns(situation: Situation, names: Sequence[str], ahead: FloatArray) -> dict[str, FloatArray]:
-    """Return columns by name; the path's points are at the distances `ahead` (K,) along it."""
+    """Compute columns by name, and the columns about the points of the path `ahead` m ahead of the ego, shape (K,)."""
     shared = SharedView(situation)
     columns = {name: COLUMNS[name].compute(shared) for name in names}
     if len(ahead):

@@ -1,4 +1,4 @@
-"""Messages of the protocol between cornercase and a program that drives: MessagePack after a length of four bytes."""
+"""Messages between cornercase and an external driving program: the length in four bytes, then MessagePack."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ from cornercase.drivers._controls import Controls, Trajectory
 
 PROTOCOL_VERSION: Final = 1
 ANSWER_COLUMNS: Final = ("acceleration", "steering", "throttle", "brake", "lane_change")
-"""Columns of numbers in an answer to a step, all of which may be missing."""
+"""Columns of numbers in a program's answer to a step; each may be missing."""
 _ANSWER_KEYS: Final = ("type", *ANSWER_COLUMNS, "trajectories", "failures")
 _LENGTH: Final = struct.Struct("<I")
 _MAX_BYTES, _SHOWN_BYTES = 2**28, 20
 
 
 class ProtocolError(Exception):
-    """A program has ended, does not answer in time, or answers something else than the protocol says."""
+    """A driving program has ended, does not answer in time, or sends an answer that the protocol does not allow."""
 
 
 def write_message(stream: BinaryIO, message: Mapping[str, Any]) -> None:
-    """Send a message; `OSError` if nobody reads."""
+    """Send a message to a program; `OSError` if the other end of the stream is closed."""
     content = msgpack.packb(message, default=_to_plain)
     stream.write(_LENGTH.pack(len(content)) + content)
     stream.flush()
 
 
 def read_message(stream: BufferedReader) -> dict[str, Any] | None:
-    """Receive a message; None if the stream has ended, and `ProtocolError` if it is none."""
+    """Receive a message; None if the stream has ended, `ProtocolError` if the bytes are not a message."""
     head = stream.read(_LENGTH.size)
     if not head:
         return None
@@ -53,16 +53,16 @@ def read_message(stream: BufferedReader) -> dict[str, Any] | None:
     else:
         head += stream.peek()
     text = ascii(head[:_SHOWN_BYTES].decode(errors="replace"))
-    raise ProtocolError(f"its output begins with {text}, which is no message; it must print to stderr")
+    raise ProtocolError(f"its output begins with {text}, which is not a message; print to stderr only")
 
 
 def pack_column(values: Any) -> bytes:
-    """Return numbers as little-endian doubles, row by row."""
+    """Return numbers as bytes of little-endian doubles, row by row."""
     return np.ascontiguousarray(values, dtype="<f8").tobytes()
 
 
 def read_answer(answer: Mapping[str, Any], n_rows: int) -> tuple[Controls, dict[int, str]]:
-    """Return the controls and failures in an answer to a step, by row; `ProtocolError` if it cannot be used."""
+    """Decode a program's answer: controls, and failures by row (scenario); `ProtocolError` if it is invalid."""
     if unknown := [str(name) for name in answer if name not in _ANSWER_KEYS]:
         hint = suggest_name(unknown[0], _ANSWER_KEYS).rstrip(".?")
         raise ProtocolError(f"its answer has the unknown key '{unknown[0]}'; {hint}")
@@ -109,10 +109,10 @@ def _read_list(answer: Mapping[str, Any], name: str, length: int) -> list[Any]:
 
 def _read_row(row: object, n_rows: int) -> int:
     if not isinstance(row, int) or not 0 <= row < n_rows:
-        raise ProtocolError(f"its answer is about row {row!r} of {n_rows}")
+        raise ProtocolError(f"its answer has the row {row!r}, but the step has {n_rows} rows")
     return row
 
 
 def _to_plain(value: Any) -> Any:
-    """Return what MessagePack can hold."""
+    """Convert a value for MessagePack: a NumPy number to a Python number, all other objects to text."""
     return value.item() if isinstance(value, np.generic) else str(value)

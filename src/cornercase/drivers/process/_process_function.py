@@ -1,4 +1,4 @@
-"""A driving function in a program of its own."""
+"""Driver whose decisions are made by an external program."""
 
 from __future__ import annotations
 
@@ -40,32 +40,34 @@ from cornercase.drivers.process._messages import (
 from cornercase.drivers.process._program import TCP_PREFIX, Connection, Peer, Program, find_executable, parse_address
 
 _MAX_FAILURE_LENGTH, _MAX_POINTS = 500, 1000
-# Of the options below.
+# Default time limits in s.
 _TIMEOUT, _START_TIMEOUT = 10.0, 60.0
 _OWN_OPTIONS: Final = ("timeout", "start_timeout", "log")
-# How alike a name is to one of these if it is probably misspelt.
+# Similarity from which a name counts as a misspelling of one of these options.
 _MISSPELT: Final = 0.85
 
 
 class ProcessFunction(DrivingFunction):
-    """A driving function in a program of its own, which speaks a protocol in lock-step: see the page about processes.
+    """Driver that is an external program, which answers messages of cornercase: see ``docs/process.md``.
 
-    The program is started when the first batch starts, is told the situation of all scenarios of the batch in each
-    step, and answers with controls. If it crashes, hangs, or answers something else, it is started again.
+    The program is started with the first batch (scenarios that run together). In each step, the program is sent the
+    situation in all scenarios of the batch, and answers with controls. A program that crashes, hangs, or gives an
+    invalid answer is started again for the next batch.
 
     Parameters
     ----------
     command : str
-        The program and its arguments, as in a shell; no shell runs it. Or ``tcp://HOST:PORT`` of a program that listens
-        there. Options may follow after the last colon, as in ``"./function --fast:timeout=2,reaction=0.3"``.
+        Program and arguments, split into words as in a shell, but run without a shell; or the address
+        ``tcp://HOST:PORT`` of a program that listens there. Options may follow after the last colon, as in
+        ``"./function --fast:timeout=2,reaction=0.3"``.
     timeout : float, default 10
-        Time limit of an answer in s.
+        Time limit in s for the answer to a step.
     start_timeout : float, default 60
         Time limit in s for the program to start, and to prepare a batch.
     log : str, optional
-        File to which is appended what the program writes to stderr.
+        File to which the program's stderr is appended.
     mutations : str, optional
-        TOML file that says how far options may be off, for mutation testing.
+        TOML file with the changes of the program's options that mutation testing tries.
     **options : bool, int, float or str
         Options of the program itself.
 
@@ -98,7 +100,7 @@ class ProcessFunction(DrivingFunction):
         """Options of the program itself."""
         for option, value in self.options.items():
             if not isinstance(value, bool | int | float | str):
-                raise InputError(f"The option `{option}` of a program is no number, text, True or False.")
+                raise InputError(f"The option `{option}` of a program is not a number, a text, True or False.")
         self._timeout, self._start_timeout = (
             check_float(option, given[option], above=0.0) for option in ("timeout", "start_timeout")
         )
@@ -118,11 +120,11 @@ class ProcessFunction(DrivingFunction):
         self.file_mutations = read_mutations(Path(str(given["mutations"])).absolute()) if given["mutations"] else ()
         self._given = {option: value for option, value in given.items() if value != defaults[option]} | self.options
         self._text = self._format({name: value for name, value in self._given.items() if name != "mutations"})
-        # What is stored is read again as one text with sensors and vehicle.
+        # A study stores this text together with sensors and vehicle, and parses it again.
         if split_spec(self._text)[1]:
             raise InputError(
-                f"The driver '{self._text}' contains '{SEPARATOR}', which stands before sensors; if it belongs to the"
-                " command, put it in double quotes."
+                f"The driver '{self._text}' contains '{SEPARATOR}', which separates driver and sensors; if it belongs"
+                " to the command, put it in double quotes."
             )
         self.settings = {"driver": self._text, "options": {}, **_fingerprint(self._words)}
         self._peer: Peer | None = None
@@ -135,12 +137,12 @@ class ProcessFunction(DrivingFunction):
         return f"exec:{self._command}" + (f":{','.join(texts)}" if texts else "")
 
     def spec_with(self, changes: Mapping[str, float]) -> str:
-        """Return the text that stands for it with other values of some options.
+        """Return the driver's text, such as ``exec:./function:reaction=0.3``, with other values of some options.
 
         Parameters
         ----------
         changes : mapping of str to float
-            By name.
+            New values by name of the option.
 
         Returns
         -------
@@ -161,7 +163,7 @@ class ProcessFunction(DrivingFunction):
         return {**attachment, **({} if self._log is None else {"log": str(self._log)}), **self.options}
 
     def numeric_parameters(self) -> dict[str, float]:
-        """Return the numeric options that the program is given; they can be dimensions of a search.
+        """Return the numeric options of the program, which can be dimensions of a search.
 
         Returns
         -------
@@ -174,23 +176,23 @@ class ProcessFunction(DrivingFunction):
         }
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return what another process needs: it starts a program of its own."""
+        """Return the state for pickling, without the running program: another process starts its own program."""
         return {name: value for name, value in vars(self).items() if name != "_end"} | {"_peer": None}
 
     def prepare(self, start: Start) -> None:
-        """Start the program if it does not run, and tell it about the batch.
+        """Start the program if it does not run, and send it the description of the batch.
 
         Parameters
         ----------
         start : Start
-            What is known then.
+            Description of the batch.
 
         Raises
         ------
         InputError
             The program cannot be used.
         DriverError
-            It drives one scenario at a time.
+            The program drives one scenario at a time, and the batch has several scenarios.
         """
         self._display_name = f"the driver of {quote_name(start.body.name)} ({remove_folders(self._text)})"
         self._others: list[tuple[Any, ...]] | None = None
@@ -217,7 +219,7 @@ class ProcessFunction(DrivingFunction):
         self._failures = {n: self._describe_failure(text, 0.0) for n, text in failures.items()}
 
     def decide(self, situation: Situation) -> Controls:
-        """Let the program decide in all active scenarios."""
+        """Send the situation to the program, and return its decisions in all active scenarios."""
         n_scenarios, rows = len(situation.active), np.flatnonzero(situation.active)
         seen = select_rows(situation, rows)
         columns = compute_columns(seen, self._wanted, self._ahead)
@@ -233,7 +235,7 @@ class ProcessFunction(DrivingFunction):
         others = list(
             zip(situation.others_name, situation.others_object_type, *(box.tolist() for box in boxes), strict=True)
         )
-        # Only false objects of sensors change them.
+        # The list changes only with false objects of sensors.
         if others != self._others:
             self._others = others
             names = ("name", "object_type", "length", "width", "center_x")
@@ -251,24 +253,24 @@ class ProcessFunction(DrivingFunction):
         return replace(
             controls,
             trajectories={numbers[row]: trajectory for row, trajectory in decided.trajectories.items()},
-            # What failed at the start is the reason for what fails later.
+            # A failure at the start of the batch is the reason for later failures.
             failures={numbers[row]: self._describe_failure(text, situation.time) for row, text in failures.items()}
             | {n: failure for n, failure in self._failures.items() if situation.active[n]},
         )
 
     def release(self) -> None:
-        """Tell the program that the batch has ended; it waits for the next one."""
+        """Tell the program that the batch has ended; the program stays ready for the next batch."""
         if self._peer is not None:
             self._peer.send({"type": "end"})
 
     def close(self) -> None:
-        """End the program; it is started again if it is needed."""
+        """End the program; the next batch starts it again."""
         if self._peer is not None:
             self._end()
             self._peer = None
 
     def _connect(self) -> None:
-        """Start the program and agree on the protocol; `InputError` if that fails."""
+        """Start the program, or connect to it, and agree on the protocol; `InputError` if this fails."""
         where = f"The driver '{self._text}'"
         try:
             if self._words:
@@ -300,7 +302,9 @@ class ProcessFunction(DrivingFunction):
         if answer.get("type") != "hello":
             raise ProtocolError(f"its first message is of the type {answer.get('type')!r}, not 'hello'")
         if answer.get("protocol") != PROTOCOL_VERSION:
-            raise ProtocolError(f"it has version {answer.get('protocol')!r}, cornercase has {PROTOCOL_VERSION}")
+            raise ProtocolError(
+                f"it has version {answer.get('protocol')!r} of the protocol, cornercase has version {PROTOCOL_VERSION}"
+            )
         self._at_once = 1 if answer.get("one_at_a_time") is True else sys.maxsize
         self._check_options(answer.get("options"))
         ahead = answer.get("ahead")
@@ -313,7 +317,7 @@ class ProcessFunction(DrivingFunction):
         self._wanted = self._read_wanted_columns(answer.get("columns"))
 
     def _check_options(self, listed: object) -> None:
-        """Raise `InputError` if an option is none of those that the program lists; it need not list any."""
+        """Raise `InputError` for an option that is not listed; without a list (None), if it looks misspelt."""
         if listed is None:
             for name in self.options:
                 if (own := _find_misspelt_option(name)) is not None:
@@ -331,7 +335,7 @@ class ProcessFunction(DrivingFunction):
                 )
 
     def _read_wanted_columns(self, wanted: object) -> list[str]:
-        """Return the columns to compute; those of the path come with ``ahead``, whether they are named or not."""
+        """Check the column names that a program wants; return them without columns about the path."""
         if wanted is None:
             return [*COLUMNS]
         if not isinstance(wanted, list) or not all(isinstance(name, str) for name in wanted):
@@ -342,7 +346,7 @@ class ProcessFunction(DrivingFunction):
         of_path = [name for name in wanted if name in PATH_COLUMNS]
         if of_path and not len(self._ahead):
             raise ProtocolError(
-                f"it wants the column '{of_path[0]}', and gives no 'ahead', the distances of its points"
+                f"it wants the column '{of_path[0]}', but gives no 'ahead', the distances of the path's points"
             )
         return [name for name in wanted if name in COLUMNS]
 
@@ -355,20 +359,20 @@ class ProcessFunction(DrivingFunction):
         except ProtocolError as error:
             raise self._fail(str(error), time) from error
         except BaseException:
-            # An answer that is pending would be taken for that of the next message.
+            # A pending answer would be mistaken for the answer to the next message.
             self.close()
             raise
         return answer
 
     def _fail(self, reason: str, time: float) -> SimulationError:
-        """Return the failure of all scenarios of the batch, and end the program."""
+        """End the program, and return the error for all scenarios of the batch."""
         was_killed = self._peer is not None and self._peer.was_killed
         self.close()
         message = f"{self._display_name} failed{format_time_of_failure(time)}: {reason}"
         return RunLostError(message) if was_killed else PluginError(message)
 
     def _describe_failure(self, text: str, time: float) -> SimulationError:
-        """Return the failure of one scenario, for the reason that the program gives."""
+        """Return the error of one scenario, with the reason `text` that the program gives."""
         return PluginError(f"{self._display_name} failed{format_time_of_failure(time)}: {_on_one_line(text)}")
 
 
@@ -378,16 +382,16 @@ def _on_one_line(text: str) -> str:
 
 
 def _find_misspelt_option(name: str) -> str | None:
-    """Return the option of cornercase that an option of a program is probably meant to be."""
+    """Return the option of cornercase, such as ``timeout``, that `name` is probably a misspelling of; or None."""
     if name.casefold() in _OWN_OPTIONS:
         return name.casefold()
     close = difflib.get_close_matches(name, _OWN_OPTIONS, n=1, cutoff=_MISSPELT)
-    # A ``start_time`` is something else.
+    # A prefix such as ``start_time`` is an option of the program, not a misspelt ``start_timeout``.
     return close[0] if close and not close[0].startswith(name) else None
 
 
 def _split_options(text: str) -> tuple[str, dict[str, Any]]:
-    """Return command and options of a text; what follows the last colon are options if the first has name and value."""
+    """Split a text into command and options: the part after the last colon, if its first item is ``name=value``."""
     command, colon, ending = text.rpartition(":")
     items = [item.strip() for item in ending.split(",")]
     pairs = [item.partition("=") for item in items]
@@ -425,9 +429,9 @@ def _parse_value(text: str) -> bool | float | str:
 
 
 def _fingerprint(words: list[str]) -> dict[str, str]:
-    """Return the SHA-256 of the files among the words of a command, in their order; empty if there are none."""
+    """Return ``{"sha256": …}`` for all files among the words of a command; an empty dict if there are none."""
     paths = [path for word in words if (path := Path(word.rpartition("=")[2])).is_file()]
-    # Without a file, the program itself is one of PATH.
+    # If no word is a file, the program is found by PATH.
     paths = paths or [Path(program) for word in words[:1] if (program := shutil.which(word)) is not None]
     digests = [hashlib.sha256(path.read_bytes()).hexdigest() for path in paths]
     if len(digests) > 1:

@@ -1,4 +1,4 @@
-"""The other end of the protocol: a program that is started here, or one that listens already."""
+"""Connections to external driving programs, which are started here or already listen on a port."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from cornercase._common.process.reaper import Reaper
 from cornercase._common.text.sanitize import escape_control_characters, remove_folders, shorten
 from cornercase.drivers.process._messages import ProtocolError, read_message, write_message
 
-# Seconds: interval in which time limits are checked; time to end after the last message.
+# Seconds: interval between checks of time limits; time that a program has to end after the last message.
 _POLL_INTERVAL, _GRACE_PERIOD = 0.05, 2.0
 # Of what a program writes to stderr: bytes that are stored, lines and characters that a failure shows.
 _STDERR_BYTES, _SHOWN_LINES, _SHOWN_CHARACTERS = 4096, 3, 400
@@ -38,9 +38,9 @@ TCP_PREFIX: Final = "tcp://"
 
 
 class Peer(ABC):
-    """A program that answers messages in lock-step.
+    """External driving program that answers one message at a time.
 
-    `was_killed`: whether a user or the system has killed it, so that it may do better next time.
+    `was_killed`: True if a user or the system has killed the program, so that another attempt may succeed.
     """
 
     was_killed = False
@@ -55,12 +55,12 @@ class Peer(ABC):
         """Send a message and return the answer; `ProtocolError` if there is none within `timeout` s."""
         self._deadline = time.monotonic() + timeout
         try:
-            # If it has gone, what it printed says why.
+            # If the program has ended, its stderr says why.
             with suppress(BrokenPipeError, ConnectionError):
                 write_message(self._output, message)
             answer = read_message(self._answers)
         except (OSError, ValueError):
-            # It has gone, or its pipe was closed.
+            # The program has ended, or its pipe was closed.
             answer = None
         finally:
             self._deadline = math.inf
@@ -71,7 +71,7 @@ class Peer(ABC):
         return answer
 
     def send(self, message: Mapping[str, Any]) -> None:
-        """Send a message that has no answer."""
+        """Send a message without waiting for an answer."""
         with suppress(OSError, ValueError):
             write_message(self._output, message)
 
@@ -92,7 +92,7 @@ class Peer(ABC):
 
     @abstractmethod
     def _break_off(self) -> None:
-        """Make pending reads and writes fail."""
+        """Break the connection, so that pending reads and writes fail."""
 
     @abstractmethod
     def _describe_end(self) -> str: ...
@@ -102,10 +102,10 @@ class Peer(ABC):
 
 
 class Program(Peer):
-    """A program that is started here and speaks through its stdin and stdout; `log` gets what it writes to stderr."""
+    """Driving program that is started here, with messages by stdin and stdout; stderr is appended to `log`."""
 
     def __init__(self, words: Sequence[str], log: Path | None) -> None:
-        # Of its own process group, so that Ctrl-C does not reach it: it ends with its stdin.
+        # In its own process group, so that Ctrl-C does not reach the program, which ends when its stdin is closed.
         self._process = subprocess.Popen(
             words,
             stdin=subprocess.PIPE,
@@ -150,13 +150,13 @@ class Program(Peer):
         return f"; its last lines: {shorten(' | '.join(lines), _SHOWN_CHARACTERS)}" if lines else ""
 
     def close(self) -> None:
-        """Close its stdin, and kill it if it does not end."""
+        """Close the program's stdin, and kill the program if it does not end soon."""
         if self._process.poll() is None:
             with suppress(OSError):
                 self._process.stdin.close()  # type: ignore[union-attr]
             with suppress(subprocess.TimeoutExpired):
                 self._process.wait(_GRACE_PERIOD)
-        # What it has started may still run.
+        # Processes that the program has started may still run.
         kill_process_tree(self._process.pid)
         self._process.wait()
         self._stderr_reader.join(_GRACE_PERIOD)
@@ -165,7 +165,7 @@ class Program(Peer):
 
 
 class Connection(Peer):
-    """A connection to a program that listens on a port."""
+    """TCP connection to a driving program that listens on a port."""
 
     def __init__(self, host: str, port: int, timeout: float) -> None:
         self._socket = socket.create_connection((host, port), timeout)
@@ -189,15 +189,17 @@ class Connection(Peer):
 
 
 def parse_address(command: str) -> tuple[str, int]:
-    """Return host and port of ``tcp://HOST:PORT``; `InputError` if it is none."""
+    """Return host and port of an address ``tcp://HOST:PORT``; `InputError` for any other text."""
     host, _, port = command.removeprefix(TCP_PREFIX).rpartition(":")
     if not host or not port.isdecimal() or not 0 < int(port) < 65536:
-        raise InputError(f"The driver 'exec:{command}' has no host and port; write exec:tcp://localhost:5000.")
+        raise InputError(
+            f"The driver 'exec:{command}' has no host and port; give both, as in exec:tcp://localhost:5000."
+        )
     return host.strip("[]"), int(port)
 
 
 def find_executable(command: str, words: Sequence[str]) -> list[str]:
-    """Return the words with the path of the program; `InputError` if there is no such program."""
+    """Return a command's words, the first replaced by the path of the program; `InputError` if there is no program."""
     program = words[0]
     is_path = os.path.dirname(program) != ""
     path = shutil.which(program) if is_path else find_program(program)

@@ -1,6 +1,6 @@
-"""The other end of cornercase's protocol, for a driving function in a Python of its own.
+"""Client for cornercase's protocol, for a driving function that runs in its own Python process.
 
-Copy this file next to your function. It needs Python 3.7 or later and msgpack, and neither cornercase nor NumPy::
+Copy this file next to your function. The file needs Python 3.7 or later and msgpack, but neither cornercase nor NumPy::
 
     from cornercase_client import Control, Function, serve
 
@@ -16,7 +16,8 @@ Copy this file next to your function. It needs Python 3.7 or later and msgpack, 
 
     serve(MyFunction)
 
-An object is made for each concrete scenario, from the options of ``exec:python my_function.py:reaction=0.2``.
+An object of the class is made for each concrete scenario, with the options of the driver that cornercase is given, such
+as ``exec:python my_function.py:reaction=0.2``.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ _Control = namedtuple("_Control", "acceleration steering throttle brake trajecto
 
 
 class Control(_Control):
-    """What a function decides: an acceleration; throttle and brake; or a trajectory. See `cornercase.Control`."""
+    """Decision of a driving function: acceleration, throttle and brake, or trajectory. See `cornercase.Control`."""
 
     __slots__ = ()
 
@@ -65,7 +66,7 @@ class Control(_Control):
         trajectory: Optional[Trajectory] = None,
         lane_change: Optional[str] = None,
     ) -> Control:
-        """Check which of them are given."""
+        """Check that exactly one kind of decision is given, and that a lane change comes without steering."""
         pedals = throttle is not None or brake is not None
         if (acceleration is not None) + pedals + (trajectory is not None) != 1:
             raise ValueError("give one of: acceleration, or throttle and brake, or a trajectory")
@@ -77,7 +78,7 @@ class Control(_Control):
 
 
 class Batch:
-    """N concrete scenarios that run together, as the message ``start`` describes them."""
+    """Batch of N concrete scenarios that run together, as described in the message ``start``."""
 
     def __init__(self, message: Mapping[str, Any], options: Dict[str, Any]) -> None:
         self.scenarios: int = message["scenarios"]
@@ -91,12 +92,15 @@ class Batch:
         self.others: List[Dict[str, Any]] = []
 
     def options_of(self, scenario: int) -> Dict[str, Any]:
-        """Options of the function in a scenario, with the parameters that differ between scenarios."""
+        """Return the options of the function in a scenario, with the parameters that differ between scenarios."""
         return dict(self.options, **{name: values[scenario] for name, values in self.parameters.items()})
 
 
 class Step:
-    """One time step of M scenarios: `columns` are flat ``array('d')`` of M, M * A or M * K numbers, row by row."""
+    """Time step of M scenarios, with A other entities, and K points of the path ahead.
+
+    `columns` are flat ``array('d')`` of M, M * A or M * K numbers by name, row by row.
+    """
 
     def __init__(self, message: Mapping[str, Any], batch: Batch, ahead: List[float]) -> None:
         self.batch = batch
@@ -110,7 +114,7 @@ class Step:
 
 
 class View:
-    """What a function sees of one scenario; the attributes are those of `cornercase.drivers.View`."""
+    """View of one scenario for a driving function; attributes are as in `cornercase.drivers.View`."""
 
     def __init__(self, step: Step, row: int) -> None:
         self._step, self._row = step, row
@@ -154,7 +158,7 @@ class View:
 
     @property
     def leader(self) -> Optional[ObjectView]:
-        """The nearest of those ahead in the ego's path; None if there is none."""
+        """Nearest entity ahead in the ego's path; None if there is none."""
         ahead = [other for other in self.objects if other.in_path and other.gap >= 0.0 and other.x > 0.0]
         return min(ahead, key=lambda other: other.gap) if ahead else None
 
@@ -164,7 +168,7 @@ class View:
         return {name: states[self._row] for name, states in self._step.signals.items()}
 
     def path(self, ahead: float) -> PathPoint:
-        """Return the point of the ego's path at a distance ahead in m, between the nearest of ``serve(ahead=…)``."""
+        """Return the point of the ego's path `ahead` m ahead, interpolated in the points of ``serve(ahead=…)``."""
         distances = self._step.ahead
         if not distances:
             raise ValueError("give the distances at which the path is sent: serve(MyFunction, ahead=range(0, 101))")
@@ -182,10 +186,10 @@ class View:
 
 
 class Function:
-    """A driving function of one scenario: derive from it. Its constructor takes its options."""
+    """Base class of driving functions for one scenario; the constructor of a derived class takes its options."""
 
     def start(self, ego: Ego, rng: random.Random) -> None:
-        """Begin a scenario; all random numbers come from `rng`. Does nothing by default."""
+        """Begin a scenario; take all random numbers from `rng`. Does nothing by default."""
 
     def step(self, view: View, dt: float) -> Any:
         """Return a `Control` or an acceleration in m/s² for the coming `dt` s."""
@@ -193,11 +197,11 @@ class Function:
 
 
 class BatchFunction:
-    """A driving function of all scenarios of a batch at once, for speed: derive from it.
+    """Base class of driving functions that drive all scenarios of a batch at once, for speed.
 
-    `columns` are the names of the columns that it needs; None for all. `option_names` are those of its options, so that
-    cornercase refuses others; None if any may be given. `one_at_a_time`: whether it drives one scenario at a time, as
-    its state cannot be held for several.
+    `columns`: names of the columns that the function needs; None for all. `option_names`: names of its options, so that
+    cornercase refuses other options; None if any option may be given. `one_at_a_time`: True if the function can drive
+    only one scenario at a time, for example because its state cannot be held for several.
     """
 
     columns: Optional[Sequence[str]] = None
@@ -205,27 +209,27 @@ class BatchFunction:
     one_at_a_time = False
 
     def start(self, batch: Batch) -> Optional[Mapping[int, str]]:
-        """Begin a batch; may return why scenarios fail, by scenario."""
+        """Begin a batch; may return the reasons why scenarios fail, by number of the scenario."""
         return None
 
     def step(self, step: Step) -> Mapping[str, Any]:
-        """Return what is decided.
+        """Return the decisions for a time step of M scenarios, by name.
 
-        ``acceleration``, ``steering``, ``throttle``, ``brake`` and ``lane_change`` are M numbers each: a list, or an
-        array such as one of NumPy. ``trajectories`` and ``failures`` are by row. All may be left out.
+        ``acceleration``, ``steering``, ``throttle``, ``brake`` and ``lane_change`` are M numbers each, in a list or an
+        array (also of NumPy). ``trajectories`` and ``failures`` are dicts by row of the step. Each may be left out.
         """
         raise NotImplementedError
 
 
 class ScalarAdapter(BatchFunction):
-    """Drives each scenario of a batch by an object of its own."""
+    """Driving function of a batch that drives each scenario with its own `Function` object, created by `make`."""
 
     def __init__(self, make: Callable[..., Function], one_at_a_time: bool = False) -> None:
         self.make, self.one_at_a_time = make, one_at_a_time
         self.option_names = _names_of_parameters(make)
 
     def start(self, batch: Batch) -> Dict[int, str]:
-        """Make one object per scenario."""
+        """Create one object per scenario; return errors by scenario."""
         self.objects: List[Any] = []
         failures: Dict[int, str] = {}
         for n in range(batch.scenarios):
@@ -239,7 +243,7 @@ class ScalarAdapter(BatchFunction):
         return failures
 
     def step(self, step: Step) -> Dict[str, Any]:
-        """Let each object decide."""
+        """Collect the decisions of the objects of all scenarios in the step."""
         count, nan = len(step.scenarios), float("nan")
         numbers = {name: array.array("d", [nan]) * count for name in ("acceleration", "steering", "throttle", "brake")}
         numbers["lane_change"] = array.array("d", [0.0]) * count
@@ -270,12 +274,12 @@ def serve(
     host: str = "localhost",
     one_at_a_time: bool = False,
 ) -> None:
-    """Answer cornercase until it closes the connection.
+    """Run a driving function: answer the messages of cornercase until cornercase closes the connection.
 
-    `make` is a class that derives from `Function`, or a function that makes an object of one. `ahead` are distances in
-    m at which the path is sent, for `View.path`. With `port`, listen there for ``exec:tcp://HOST:PORT``, one connection
-    after the other, instead of using stdin and stdout. `one_at_a_time`: whether only one scenario may run at a time, as
-    the objects share something.
+    `make` is a class that derives from `Function`, or a function that returns an object of this kind. `ahead` are the
+    distances in m at which the path is sent, for `View.path`. With `port`, listen there for ``exec:tcp://HOST:PORT``,
+    one connection after the other, instead of using stdin and stdout. `one_at_a_time`: True if only one scenario may
+    run at a time, because the objects share something.
     """
     serve_batches(ScalarAdapter(make, one_at_a_time), ahead, port, host)
 
@@ -283,7 +287,7 @@ def serve(
 def serve_batches(
     function: BatchFunction, ahead: Sequence[float] = (), port: Optional[int] = None, host: str = "localhost"
 ) -> None:
-    """Answer by a function of whole batches, in the same ways as `serve`."""
+    """Run a driving function of whole batches; `ahead`, `port` and `host` are as in `serve`."""
     if port is None:
         _converse(function, ahead, *_take_over_stdout())
         return
@@ -295,7 +299,7 @@ def serve_batches(
             connection, _ = listener.accept()
             with connection:
                 connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                # It may be gone; the next one may come.
+                # Cornercase may have closed the connection; the next connection may come.
                 with suppress(OSError):
                     _converse(function, ahead, connection.makefile("rb"), connection.makefile("wb"))
 
@@ -334,7 +338,7 @@ def _hello(message: Mapping[str, Any], function: BatchFunction, ahead: List[floa
         return {
             "type": "hello",
             "protocol": PROTOCOL_VERSION,
-            "error": "this cornercase_client.py speaks version %d, cornercase %s speaks %s; copy its own again"
+            "error": "this cornercase_client.py speaks version %d, cornercase %s speaks %s; copy the file again"
             % (PROTOCOL_VERSION, message.get("cornercase"), message["protocol"]),
         }
     return {
@@ -348,7 +352,7 @@ def _hello(message: Mapping[str, Any], function: BatchFunction, ahead: List[floa
 
 
 def _names_of_parameters(make: Callable[..., Function]) -> Optional[List[str]]:
-    """Return the names of the options that a constructor takes; None if it takes any."""
+    """Return the names of the options that a constructor takes; None if it takes options of any name."""
     try:
         parameters = list(inspect.signature(make).parameters.values())
     except (TypeError, ValueError):
@@ -372,7 +376,7 @@ def _pack_answer(answer: Mapping[str, Any]) -> Dict[str, Any]:
 
 
 def doubles(content: bytes) -> array.array[float]:
-    """Return binary data as an ``array('d')``."""
+    """Decode little-endian doubles to an ``array('d')``."""
     values = array.array("d")
     values.frombytes(content)
     if sys.byteorder == "big":
@@ -381,7 +385,7 @@ def doubles(content: bytes) -> array.array[float]:
 
 
 def pack_doubles(values: Any) -> bytes:
-    """Return numbers as little-endian doubles."""
+    """Return numbers as bytes of little-endian doubles."""
     packed = array.array("d", values)
     if sys.byteorder == "big":
         packed.byteswap()
@@ -389,7 +393,7 @@ def pack_doubles(values: Any) -> bytes:
 
 
 def describe(error: BaseException) -> str:
-    """Return an exception as one line, with the place in the function."""
+    """Describe an exception in one line, with the file and line in which it was raised."""
     frame = traceback.extract_tb(error.__traceback__)[-1]
     text = "%s: %s" % (type(error).__name__, error)
     return "%s (%s line %s in %s: %s)" % (
@@ -398,7 +402,7 @@ def describe(error: BaseException) -> str:
 
 
 def _receive(stream: BinaryIO) -> Any:
-    """Return the next message; None at the end."""
+    """Read the next message from a stream; None if the stream has ended."""
     head = stream.read(4)
     if len(head) < 4:
         return None
