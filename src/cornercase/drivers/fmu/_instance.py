@@ -255,7 +255,7 @@ class Instance:
         fmu.check("EnterInitializationMode", status)
 
     def exit_initialization(self) -> None:
-        """End the initialization; steps follow."""
+        """End the initialization, so that steps can follow."""
         self.fmu.check("ExitInitializationMode", self.fmu._exit_initialization(self.component))
 
     def bind_step(self, time: c_double, size: float) -> Callable[[], None]:

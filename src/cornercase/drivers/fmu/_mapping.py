@@ -105,7 +105,7 @@ class Output:
 
 
 class VariableMap:
-    """Map between the traffic and an FMU's inputs, and between its outputs and decisions, as tables for shared memory.
+    """Map from quantities to an FMU's inputs, and from the FMU's outputs to decisions, as tables for shared memory.
 
     Each table holds the variables of one FMI type. `messages` are the FMU's OSI messages. If the FMU writes its motion
     as an OSI message, this message decides, unless the map file has outputs.

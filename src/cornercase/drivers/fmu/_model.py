@@ -175,7 +175,7 @@ def _read_fmu(path: Path, modified: int, size: int) -> FmuModel:
 
 
 def _select_log_categories(xml: bytes, tool: str) -> tuple[str, ...]:
-    """Return the declared log categories of errors and warnings."""
+    """Return the log categories for errors and warnings that an FMU declares in its model description."""
     declared = tuple(name for name in _LOG_CATEGORIES if f'name="{name}"'.encode() in xml)
     # PythonFMU logs Python exceptions with an empty category, and leaves out categories that are not requested.
     return (*declared, "") if declared and tool.startswith("PythonFMU") else declared

@@ -66,7 +66,7 @@ class OsmpMap:
         return bool(self.inputs or self.static or self.motion)
 
     def layouts(self, static: Sequence[bytes]) -> MessageLayouts:
-        """Return types and value references of the used messages; `static` are the bytes of `self.static`."""
+        """Return types and value references of the used messages; `static`: bytes of each message in `self.static`."""
         return MessageLayouts(
             [(variable.kind, variable.references) for variable in self.inputs],
             [(self.motion.kind, self.motion.references)] if self.motion is not None else [],

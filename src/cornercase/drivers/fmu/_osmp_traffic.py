@@ -135,7 +135,7 @@ class OsmpTraffic:
         return messages
 
     def _command(self, time: float, row: int, target_speed: float) -> bytes:
-        """Return an OSI TrafficCommand; its only action is the scenario's target speed, whenever this has changed."""
+        """Return an OSI TrafficCommand, with a speed action only if the scenario's target speed has changed."""
         from osi3.osi_trafficcommand_pb2 import TrafficCommand
 
         command = TrafficCommand()

@@ -344,7 +344,7 @@ class _Process:
 
 
 def _kill_when_hung(reference: weakref.ref[_Process], timeout: float) -> None:
-    """Run in a thread: kill the process if a call exceeds its time limit; check every 0.1 `timeout` or 0.5 s."""
+    """Run in a thread: kill the process if a call exceeds its time limit; `timeout` (s) sets how often to check."""
     mark, since = (-1, -1), 0.0
     while True:
         process = reference()

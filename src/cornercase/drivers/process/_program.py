@@ -52,7 +52,7 @@ class Peer(ABC):
         self._watchdog.start()
 
     def ask(self, message: Mapping[str, Any], timeout: float) -> dict[str, Any]:
-        """Send a message and return the answer; `ProtocolError` if there is none within `timeout` s."""
+        """Send a message and return the answer; `ProtocolError` if no answer comes within `timeout` s."""
         self._deadline = time.monotonic() + timeout
         try:
             # If the program has ended, its stderr says why.

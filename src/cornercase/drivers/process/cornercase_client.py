@@ -129,7 +129,7 @@ class View:
 
     @property
     def target_speed(self) -> float:
-        """Speed in m/s that the scenario asks for; infinite or NaN if it asks for none."""
+        """Speed in m/s that the scenario asks for; infinite or NaN if the scenario asks for none."""
         return self._own("target_speed")
 
     @property

@@ -1,1 +1,1 @@
-"""Reference drivers of regulations."""
+"""Reference drivers that regulations define."""

@@ -129,7 +129,7 @@ def _is_covered_by_regulation(recording: Recording, ego: str, other: str, time: 
 
 
 def _is_cut_in_over_before(run: Recording, ego: str, hit_collision: Collision) -> bool:
-    """Return whether the vehicle that the ego hits had cut in without danger, so that the collision does not count."""
+    """Return whether the vehicle that the ego hits cut in earlier without danger: the collision does not count then."""
     i, other_rows = run.entity_index(ego), [k for k, name in enumerate(run.names) if name != ego]
     valid = np.isfinite(run.x[i]) & (run.time <= hit_collision.time + _TIME_TOLERANCE)
     situation = _situations_over_time(run, i, other_rows, valid)

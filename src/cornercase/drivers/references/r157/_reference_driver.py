@@ -19,10 +19,11 @@ _TARGET_SPEED_ACCELERATION, _TARGET_SPEED_DECELERATION = 2.0, 4.0
 
 
 class ReferenceDriver(VariedDriver):
-    """A reference driver of UN Regulation No. 157, defined for cut-ins, cut-outs and decelerations.
+    """Reference driver of UN Regulation No. 157, defined for cut-ins, cut-outs and decelerations.
 
-    It drives at the scenario's target speed until another vehicle becomes unsafe; from then on it brakes or keeps its
-    speed. It does not steer, does not predict crossing paths, and does not accelerate again; see ``docs/drivers.md``.
+    The driver drives at the scenario's target speed until another vehicle becomes unsafe. From then on, the driver
+    brakes or keeps its speed, and does not accelerate again. The driver does not steer, and does not predict crossing
+    paths; see ``docs/drivers.md``.
 
     Parameters
     ----------

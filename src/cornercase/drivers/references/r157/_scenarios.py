@@ -72,8 +72,8 @@ def drive_cut_in(
 ) -> EncounterOutcome:
     """Simulate a reference driver while a car cuts in from the next lane.
 
-    The other car moves from the middle of the next lane to the middle of the ego's lane. Before that, its lateral speed
-    rises with 1.5 m/s².
+    The other car moves from the middle of the next lane to the middle of the ego's lane. Before this move, its
+    lateral speed rises with 1.5 m/s².
 
     Parameters
     ----------
