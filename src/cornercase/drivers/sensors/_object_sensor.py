@@ -46,8 +46,8 @@ class ObjectSensor(Sensor):
     range : float, default 100
         Largest distance in m at which objects are seen.
     x : float, optional
-        Position ahead of the ego's reference point in m; by default the centre of the ego's box, and for subclasses
-        another point on its axis.
+        Position ahead of the ego's reference point in m; by default the centre of the ego's box (`Radar`: its front;
+        `Camera`: behind the windscreen).
     y : float, default 0
         Position to the left of the ego's reference point in m.
     yaw : float, default 0
@@ -163,7 +163,7 @@ class ObjectSensor(Sensor):
         return np.asarray(start.parameters.get(name, np.full(start.scenarios, value)), dtype=np.float64)
 
     def perceive(self, situation: Situation) -> SensedObjects:
-        """Measure where a new cycle begins, and return the objects that the driver is given after the latency.
+        """Measure if a new cycle begins, and return the objects that the driver is given after the latency.
 
         Parameters
         ----------
