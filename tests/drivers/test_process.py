@@ -590,11 +590,27 @@ def test_an_option_that_the_program_does_not_have_is_refused(folder):
 
 def test_a_program_that_lists_no_options_gets_all_but_misspelt_ones_of_cornercase(folder):
     code = "client.serve(lambda **options: client.Function())"
-    for option, meant in (("timeuot", "timeout"), ("Log", "log"), ("start_timout", "start_timeout")):
+    for option, meant in (
+        ("timeuot", "timeout"),
+        ("Log", "log"),
+        ("start_timout", "start_timeout"),
+        ("mutatons", "mutations"),
+    ):
         with pytest.raises(InputError, match=f"has the option '{option}', .* did you mean '{meant}'"):
             run(f"{answering(folder, code)}:{option}=3", 0.0)
     code = "class F(client.Function):\n    def step(self, view, dt): return 0.0\nclient.serve(lambda **options: F())"
     run(f"{answering(folder, code)}:start_time=3,lag=1,limit=2", 0.0, duration=1.0)
+
+
+def test_a_path_sent_at_one_distance_is_the_same_at_all(folder):
+    code = (
+        "class F(client.Function):\n"
+        "    def step(self, view, dt):\n"
+        "        assert view.path(0.0) == view.path(10.0) == view.path(99.0)\n"
+        "        return 0.0\n"
+        "client.serve(lambda: F(), ahead=[10.0])"
+    )
+    run(answering(folder, code), 0.0, duration=1.0)
 
 
 def test_the_columns_of_the_path_may_be_named(folder):

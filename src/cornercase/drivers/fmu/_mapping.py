@@ -55,7 +55,7 @@ class MappedVariable:
     Examples
     --------
     >>> from cornercase.drivers import FmuDriver
-    >>> for variable in FmuDriver("aeb.fmu", map="aeb.toml").variables:  # doctest: +SKIP
+    >>> for variable in FmuDriver("aeb.fmu", map="aeb.toml").variables():  # doctest: +SKIP
     ...     print(f"{variable.causality} {variable.name}: {variable.source or 'not used'}, in {variable.unit}")
     """
 

@@ -42,7 +42,7 @@ from cornercase.drivers.process._program import TCP_PREFIX, Connection, Peer, Pr
 _MAX_FAILURE_LENGTH, _MAX_POINTS = 500, 1000
 # Default time limits in s.
 _TIMEOUT, _START_TIMEOUT = 10.0, 60.0
-_OWN_OPTIONS: Final = ("timeout", "start_timeout", "log")
+_OWN_OPTIONS: Final = ("timeout", "start_timeout", "log", "mutations")
 # Similarity from which a name counts as a misspelling of one of these options.
 _MISSPELT: Final = 0.85
 

@@ -173,8 +173,9 @@ class View:
         if not distances:
             raise ValueError("give the distances at which the path is sent: serve(MyFunction, ahead=range(0, 101))")
         high = min(max(bisect.bisect_left(distances, ahead), 1), len(distances) - 1)
-        low = high - 1
-        share = min(max((ahead - distances[low]) / (distances[high] - distances[low]), 0.0), 1.0)
+        low = max(high - 1, 0)
+        gap = distances[high] - distances[low]
+        share = min(max((ahead - distances[low]) / gap, 0.0), 1.0) if gap > 0.0 else 0.0
         values = []
         for name in PathPoint._fields:
             points = self._points("path_" + name, len(distances))

@@ -24,7 +24,7 @@ def read_tow(vehicle: int, trailer: int, entities: Sequence[Entity]) -> Tow:
     hitch, coupler = front.find("TrailerHitch"), rear.find("TrailerCoupler")
     if hitch is None or coupler is None:
         raise InputError(
-            f"{front_scope.file_name}: '{entities[vehicle].name}' cannot pull '{entities[trailer].name}', as"
+            f"{(front_scope if hitch is None else rear_scope).file_name}: '{entities[vehicle].name}' cannot pull '{entities[trailer].name}', as"
             f" '{entities[vehicle if hitch is None else trailer].name}' has no"
             f" {'<TrailerHitch>' if hitch is None else '<TrailerCoupler>'}."
         )
