@@ -306,7 +306,7 @@ def test_messages_name_the_verbs_and_their_arguments(problem, tmp_path):
     with pytest.raises(cc.InputError, match="no such study; make one with `Study"):
         cc.compare(tmp_path / "missing.db", study)
     with pytest.raises(
-        cc.InputError, match=r"^`by` ttc: .*study\.db was explored without this metric; it has wttc, dist"
+        cc.InputError, match=r"^`by` ttc: .*study\.db was explored without this metric; the study has wttc, dist"
     ):
         study.cluster("ttc")
 

@@ -1,4 +1,4 @@
-"""Clusters of scenarios: which kinds of scenario there are."""
+"""Clustering of scenarios by behaviour or criticality, and analyses stored in a study."""
 
 import lazy_loader as lazy
 

@@ -25,8 +25,8 @@ class Agreement:
         Adjusted Rand index (Hubert and Arabie 1985) and adjusted mutual information (Vinh et al. 2010): 1 if the
         clusterings are the same, about 0 if they are independent.
     differing : tuple of int
-        Ids of the scenarios whose clusters do not match, when clusters are matched so that as many scenarios as
-        possible agree.
+        Ids of the scenarios that are in different clusters. For this, each cluster of one clustering is paired with a
+        cluster of the other clustering so that as many scenarios as possible agree.
 
     Examples
     --------
@@ -42,7 +42,10 @@ class Agreement:
 
 
 def compare_labels(ids: IntArray, labels_a: IntArray, labels_b: IntArray) -> Agreement:
-    """Compare two labellings of the scenarios `ids`, shape (n,) each; noise counts as a cluster."""
+    """Return the agreement of two clusterings of the same scenarios, given as labels.
+
+    `ids`, `labels_a` and `labels_b` have shape (n,); noise counts as a cluster.
+    """
     from sklearn.metrics import adjusted_mutual_info_score, adjusted_rand_score
 
     names_a, a = np.unique(labels_a, return_inverse=True)
@@ -61,7 +64,8 @@ def compare_labels(ids: IntArray, labels_a: IntArray, labels_b: IntArray) -> Agr
 def compare_clusterings(study: StudyFile) -> dict[tuple[str, str], Agreement]:
     """Compare all pairs of a study's analyses that have the same scenarios; return agreements by pair of aspects.
 
-    A pair is left out if both clusterings have a single cluster or only noise: they agree by construction.
+    An aspect is what scenarios are compared by. A pair is left out if both clusterings have a single cluster or only
+    noise, since such clusterings always agree.
     """
     arrays = {name: study.read_analysis(name, "ids", "labels")[0] for name in study.analyzed_aspects()}
     return {
@@ -73,11 +77,12 @@ def compare_clusterings(study: StudyFile) -> dict[tuple[str, str], Agreement]:
 
 
 def collect_facts(study: StudyFile, outcomes: Sequence[Outcome]) -> dict[str, list[str]]:
-    """Return facts to compare clusterings with: by name, one value per scenario. Facts that never differ are left out.
+    """Return facts about scenarios with which clusterings are compared: by name, one value per scenario.
 
-    The names are ``"outcome"`` (a text), ``"first"`` (who is first; None if ego and other collide), ``"ego first"``,
-    ``"collision"``, ``"fault"`` (whose fault it is), ``"stopped"``, and ``"first of Ego and C"`` for each further
-    entity. ``"critical"`` is added if the study has a threshold.
+    The names are ``"outcome"`` (a text), ``"first"`` (who is first; None if ego and other entity collide), ``"ego
+    first"``, ``"collision"``, ``"fault"`` (who is at fault), ``"stopped"``, and ``"first of Ego and C"`` for each
+    further entity C. ``"critical"`` is added if the study has a threshold. Facts that are the same for all scenarios
+    are left out.
     """
     other = outcomes[0].encounter.entity
     firsts = [None if other in {hit.entity for hit in outcome.impacts} else outcome.first for outcome in outcomes]
@@ -93,14 +98,14 @@ def collect_facts(study: StudyFile, outcomes: Sequence[Outcome]) -> dict[str, li
         firsts = [{encounter.entity: encounter.first for encounter in outcome.others}.get(name) for outcome in outcomes]
         facts[f"first of {quote_name(study.meta.ego)} and {quote_name(name)}"] = [str(first) for first in firsts]
     if study.critical is not None and not study.meta.pareto:
-        facts["critical"] = [str(outcome) for outcome in study.critical_mask().tolist()]
+        facts["critical"] = [str(is_critical) for is_critical in study.critical_mask().tolist()]
     return {name: values for name, values in facts.items() if len(set(values)) > 1}
 
 
 def mutual_information_with_facts(labels: IntArray, facts: Mapping[str, Sequence[str]]) -> dict[str, float]:
     """Return the adjusted mutual information (Vinh et al. 2010) of cluster labels with each fact.
 
-    It is 1 if clusters and fact are the same, about 0 if they are independent. Noise counts as a cluster.
+    The value is 1 if clusters and fact are the same, about 0 if they are independent. Noise counts as a cluster.
     """
     from sklearn.metrics import adjusted_mutual_info_score
 
@@ -108,7 +113,10 @@ def mutual_information_with_facts(labels: IntArray, facts: Mapping[str, Sequence
 
 
 def mutual_information_with_critical(study: StudyFile, ids: IntArray, labels: IntArray) -> dict[str, float]:
-    """Return the agreement of clusters with the fact ``"critical"``; empty if all scenarios or none are critical."""
+    """Return the adjusted mutual information of cluster labels with the fact ``"critical"``, by name of the fact.
+
+    The result is empty if all scenarios or none are critical.
+    """
     is_critical = dict(
         zip(
             (row.id for row in study.finished_rows()),

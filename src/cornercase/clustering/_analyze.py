@@ -1,4 +1,4 @@
-"""`analyze`: cluster the scenarios of a study."""
+"""Function `analyze`, which clusters the scenarios of a study."""
 
 from __future__ import annotations
 
@@ -52,8 +52,8 @@ if TYPE_CHECKING:
 
 # Recordings from which the length and memory of all are estimated.
 _SAMPLED_RECORDINGS: Final = 100
-# Bytes per pair in the matrix and in what is derived from it, per pair of a further aspect that waits to be stored, and
-# per scenario besides its series.
+# Estimated bytes: per pair of scenarios for the matrix and everything derived from it, per pair for each further aspect
+# that waits to be stored, and per scenario in addition to its series.
 _BYTES_PER_PAIR: Final = 80
 _BYTES_PER_WAITING_PAIR: Final = 20
 _BYTES_PER_SCENARIO: Final = 8_000
@@ -79,37 +79,37 @@ def analyze(
     """Cluster the scenarios of a study by behaviour and by criticality, and store the result in it.
 
     Scenarios are compared by several aspects, such as the trajectory of the ego. For each aspect, the distance of two
-    scenarios is that of Dynamic Time Warping, and `ScenarioClustering` finds the clusters.
+    scenarios is the Dynamic Time Warping distance of their time series, and `ScenarioClustering` finds the clusters.
 
-    With more than 2,000 scenarios, only 500 random ones, the landmarks, are compared with each other and clustered.
-    Each other scenario is compared with 100 of them, and joins their clusters. Series are downsampled to at most 100
-    instants (for a series of median length). All other distances follow from landmark multidimensional scaling;
-    `Analysis.embedding_error` says how exact they are.
+    With more than 2,000 scenarios, only 500 random scenarios, the landmarks, are compared with each other and
+    clustered. Each other scenario is compared with 100 landmarks, and joins a cluster of the landmarks. Series are
+    downsampled to at most 100 instants (for a series of median length). All other distances are estimated by landmark
+    multidimensional scaling; `Analysis.embedding_error` is the error of these estimates.
 
     Parameters
     ----------
     study : Study, StudyFile or path
-        Open for writing, or the file.
+        Study that is open for writing, or its file.
     by : str or sequence of str, optional
         Aspects: any of `cornercase.clustering.ASPECTS`, and metrics of the study. By default the ego's trajectory,
-        the direction in which it sees the other (``"bearing"``), the interaction of both, and all metrics of the study.
+        the direction from the ego to the other entity (``"bearing"``), the interaction of both, and all metrics.
     gamma, eps : float or "auto", default "auto"
         Kernel width and radius of the neighbourhood, without unit.
     min_samples : int or "auto", default "auto"
-        Least number of scenarios in a dense neighbourhood.
+        Smallest number of scenarios in a dense neighbourhood.
     method : {"dbscan", "hdbscan"}, optional
         Algorithm that finds the clusters; by default DBSCAN.
     window : float, optional
         Largest difference in time, in s, of two instants that are matched, beyond the difference of the recordings'
-        lengths. By default any difference is allowed, as in the paper: then waiting costs nothing by itself.
+        lengths. By default any difference is allowed, as in the paper; then waiting adds nothing to a distance.
     keep_clusters : bool, default False
-        Keep the existing clusters of the study, and assign scenarios that were run later to these clusters, as in
-        `ScenarioClustering.predict`.
+        Keep the existing clusters of the study, and assign scenarios that were run later to these clusters as
+        `ScenarioClustering.predict` does.
     critical : float, optional
-        Score from which a scenario is critical, to compare the clusters with; by default that of the study, which is
-        not changed.
+        Threshold of the score for critical scenarios, with which the clusters are compared. By default it is the
+        threshold of the study. The study keeps its own threshold.
     workers : int, default 1
-        Processes of a local cluster.
+        Number of processes of a local Dask cluster.
     cluster : str or distributed.Client, optional
         Dask cluster that computes the distances: ``"local"`` for `workers` local processes, the address of a scheduler,
         the file that a scheduler wrote, or a client, which stays open. The result is the same to the bit.
@@ -121,7 +121,7 @@ def analyze(
     Returns
     -------
     dict of str to Analysis
-        By aspect.
+        Analysis by aspect.
 
     Raises
     ------
@@ -169,14 +169,17 @@ def analyze(
 
 @dataclass(frozen=True, eq=False)
 class _Inputs:
-    """Time series and other inputs of all scenarios that were run, read from stored digests or else from recordings."""
+    """Time series and other inputs of all scenarios that were run.
+
+    They come from stored digests (downsampled recordings), and from recordings if the digests do not contain them.
+    """
 
     outcomes: list[Outcome]
     naming_facts: NamingFacts
     times: list[FloatArray]
     """Times of each recording in s; empty without a window."""
     series: dict[str, list[FloatArray]]
-    """By aspect, downsampled."""
+    """Downsampled time series of each scenario, by aspect."""
 
 
 def _analyze_by_aspects(
@@ -239,7 +242,10 @@ def _analyze_by_aspects(
 
 
 def _choose_stride(study: StudyFile, ids: IntArray) -> int:
-    """Choose the stride of the series from the lengths of some recordings; 1 if all pairs are compared."""
+    """Choose the stride for downsampling the series from the lengths of some recordings.
+
+    The stride is 1 if there are few enough scenarios to compare all pairs.
+    """
     if len(ids) <= MAX_ALL_PAIRS:
         return 1
     sample = ids[np.linspace(0, len(ids) - 1, _SAMPLED_RECORDINGS).astype(np.int64)]
@@ -290,8 +296,9 @@ def _read_inputs(
             bar.update(count, "read")
     for name in aspects:
         require_same_channels(study, name, ids.tolist(), series_by_aspect[name])
-    account = NamingFacts.from_scenarios(outcomes, traits, study.space, [row.values for row in study.finished_rows()])
-    return _Inputs(outcomes, account, times, series_by_aspect)
+    values = [row.values for row in study.finished_rows()]
+    naming_facts = NamingFacts.from_scenarios(outcomes, traits, study.space, values)
+    return _Inputs(outcomes, naming_facts, times, series_by_aspect)
 
 
 def _require_memory(
@@ -325,10 +332,10 @@ def _cluster_by_aspect(
     by: str,
     existing: Analysis | None,
 ) -> tuple[Clustering, IntArray, FloatArray, Distances, float | None]:
-    """Cluster scenarios by one aspect.
+    """Cluster scenarios by one aspect (what scenarios are compared by).
 
-    Returns the clusters, the ids of the scenarios they were found in, the distances to store, the distances between all
-    scenarios, and the error of the latter distances (None if exact).
+    Returns the clusters, the ids of the scenarios in which the clusters were found, the distances to store, the
+    distances between all scenarios, and the error of the distances between all scenarios (None if exact).
     """
     if existing is None and len(ids) > MAX_ALL_PAIRS:
         result = cluster_by_landmarks(comparer, model)
@@ -361,18 +368,18 @@ def _cluster_by_aspect(
     distances = comparer.distances_between(np.arange(len(ids)), show_progress=True)
     if existing is None:
         return model.fit(distances).result_, ids, distances, distances, None
-    # Known distances are reused, since the kept clusters were found with them to the last digit.
-    known, rows = np.flatnonzero(np.isin(ids, existing.ids)), existing.rows_of(ids.tolist())
-    distances[np.ix_(known, known)] = read_distances(study, by)[np.ix_(rows, rows)]
+    # Stored distances are reused, since the kept clusters were found with these distances to the last digit.
+    stored_indices, rows = np.flatnonzero(np.isin(ids, existing.ids)), existing.rows_of(ids.tolist())
+    distances[np.ix_(stored_indices, stored_indices)] = read_distances(study, by)[np.ix_(rows, rows)]
     return *_extend_clusters(existing, ids, distances), distances, distances, None
 
 
 def _extend_clusters(existing: Analysis, ids: IntArray, distances: FloatArray) -> tuple[Clustering, IntArray]:
-    """Assign scenarios that were run since an earlier analysis to its clusters.
+    """Assign scenarios that were run after an earlier analysis to the clusters of this analysis.
 
-    Returns the extended clusters, and the ids of the scenarios they were found in.
+    Returns the extended clusters, and the ids of the scenarios in which the clusters were found.
     """
-    # A failed scenario may have been run again since, so the earlier ones need not come first.
+    # A failed scenario may have been run again, so scenarios of the earlier analysis need not come first.
     is_fitted = np.isin(ids, existing.fitted_ids)
     clustering = existing.clustering
     model = refit(existing, distances[np.ix_(is_fitted, is_fitted)])

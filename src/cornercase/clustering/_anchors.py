@@ -1,4 +1,4 @@
-"""Distances to many landmarks from those to a few of them, the anchors."""
+"""Estimate of a scenario's distances to all landmarks from its distances to a few landmarks, the anchors."""
 
 from __future__ import annotations
 
@@ -18,18 +18,20 @@ _MAX_ERROR: Final = 0.1
 
 
 class DistanceCompletion:
-    """Completes the distances from scenarios to some anchors by those to all landmarks.
+    """Linear model of a scenario's distances to all landmarks, given its distances to some landmarks, the anchors.
 
-    The squared distance of a point to any other one is linear in its squared distances to points that span the space,
-    and DTW distances are nearly squared Euclidean. The linear map is fitted to the distances between the landmarks,
-    shape (m, m), by least squares. `anchors` are the indices of landmarks that are far from one another, rising.
+    Landmarks are scenarios that were all compared with each other: `landmark_distances`, shape (m, m), are the
+    distances between them. The squared distance of a point to any other point is linear in its squared distances to
+    points that span the space, and DTW distances are nearly squared Euclidean distances. The linear map is fitted to
+    `landmark_distances` by least squares. `anchors` are the indices of landmarks that are far from one another, rising.
+    If the map is too inexact, all landmarks are anchors.
     """
 
     def __init__(self, landmark_distances: FloatArray) -> None:
         self._fit(landmark_distances, _choose_distant(landmark_distances, N_ANCHORS))
         error = np.abs(self.complete(landmark_distances[:, self.anchors]) - landmark_distances)
         if np.median(error) > _MAX_ERROR * np.median(landmark_distances):
-            # As where one landmark is so far away that its distances hide all others.
+            # For example, one landmark may be so far away that its distances outweigh all other distances.
             self._fit(landmark_distances, np.arange(len(landmark_distances)))
 
     def _fit(self, landmark_distances: FloatArray, anchors: IntArray) -> None:
@@ -42,7 +44,10 @@ class DistanceCompletion:
             )[0]
 
     def complete(self, to_anchors: FloatArray) -> FloatArray:
-        """Return the distances from scenarios to all landmarks, shape (n, m); those to the anchors stay as they are."""
+        """Return the distances from scenarios to all landmarks, shape (n, m), given the distances to the anchors.
+
+        The given distances are kept in the result; all other distances are estimates.
+        """
         with single_threaded_blas():
             distances: FloatArray = (to_anchors - self._anchor_means) @ self._map
         distances += self._means
@@ -52,7 +57,7 @@ class DistanceCompletion:
 
 
 def _choose_distant(distances: FloatArray, count: int) -> IntArray:
-    """Choose `count` scenarios, each the farthest from those chosen before; return rising indices."""
+    """Choose `count` scenarios, each the farthest from all chosen before; return their indices, rising."""
     chosen: list[int] = []
     nearest = np.full(len(distances), np.inf)
     for _ in range(min(count, len(distances))):

@@ -1,4 +1,4 @@
-"""Aspects: what is compared between two scenarios, by name."""
+"""Aspects: time series, such as the ego's trajectory, by which two scenarios are compared."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ EGO_TRAJECTORY: Final = "ego-trajectory"
 """Name of the aspect of the paper: the ego's trajectory."""
 
 # Fixed, so that distances mean the same in every study, and chosen without data: a speed difference counts as the
-# distance that it makes in a driver's look-ahead time (s), a second of waiting as the distance of a slow vehicle (m/s).
+# difference in distance after a driver's look-ahead time (s), and waiting counts as driving at a slow speed (m/s).
 _LOOK_AHEAD_TIME: Final = 3.0
 _SLOW_SPEED: Final = 5.0
 
@@ -29,16 +29,16 @@ _SLOW_SPEED: Final = 5.0
 class Aspect(ABC):
     """An aspect of behaviour by which scenarios are compared, as a time series.
 
-    A subclass sets `name` and `unit`, and defines `series`. The distance of two scenarios is that of Dynamic Time
-    Warping between their series.
+    A subclass sets `name` and `unit`, and defines `series`. The distance of two scenarios is the Dynamic Time Warping
+    distance between their series.
 
     Attributes
     ----------
     name : str
-        As on the command line: ``"ego-speed"``.
+        Name, also on the command line, such as ``"ego-speed"``.
     unit : str
-        Unit of all channels of the series, and so of the distance of two scenarios, which is a sum along the warping
-        path; ``"1"`` for none.
+        Unit of all channels of the series; ``"1"`` for none. The distance of two scenarios is a sum along the warping
+        path, so it has the same unit.
 
     See Also
     --------
@@ -71,7 +71,7 @@ class Aspect(ABC):
         Returns
         -------
         ndarray of float64, shape (T, k)
-            Finite at each instant, in the aspect's unit.
+            Finite values of k channels at each of the T instants, in the unit of the aspect.
 
         Raises
         ------
@@ -104,7 +104,7 @@ class EgoSpeed(Aspect):
 
 
 class EgoMotion(Aspect):
-    """Position and speed of the ego on one scale: x, y, and the distance that it travels in 3 s, in m."""
+    """Position and speed of the ego on one scale, in m: x, y, and the distance travelled in 3 s at this speed."""
 
     name, unit = "ego-motion", "m"
 
@@ -114,7 +114,7 @@ class EgoMotion(Aspect):
 
 
 class JointPositions(Aspect):
-    """Positions of the ego and the other entity at the same time, as one point: x, y, x, y in m."""
+    """Positions of the ego and the other entity at the same time, as one point: x, y of both, in m."""
 
     name, unit = "interaction", "m"
 
@@ -136,8 +136,9 @@ class RelativePosition(Aspect):
 class Bearing(Aspect):
     """Direction in which the ego sees the other entity, as a unit vector (ahead, left), regardless of the distance.
 
-    When the two pass each other, the direction turns one way or the other, so it shows who was first. Before and after,
-    it hardly changes. If both are at the same point, or the other entity never exists, it is the null vector.
+    When the two pass each other, the direction turns to the left or to the right, which shows who was first. Before and
+    after, the direction hardly changes. If both are at the same point, or the other entity never exists, the direction
+    is the null vector.
     """
 
     name, unit = "bearing", "1"
@@ -148,7 +149,7 @@ class Bearing(Aspect):
 
 
 class EgoProgress(Aspect):
-    """Distance travelled by the ego along its own path, and time scaled by 5 m/s, both in m.
+    """Distance travelled by the ego along its own path, and time multiplied by 5 m/s, both in m.
 
     Matching different times has a cost per second, so waiting counts. The location of the path does not count.
     """
@@ -163,7 +164,10 @@ class EgoProgress(Aspect):
 
 
 ASPECTS: Final[Registry[Aspect]] = Registry("aspect", "cornercase.aspects", Aspect)
-"""Aspects by name; the course of each metric of a study can be compared, too."""
+"""Aspects by name.
+
+Scenarios can also be compared by each metric of a study: by its course, the values over time.
+"""
 
 for _class in (EgoTrajectory, EgoSpeed, EgoMotion, JointPositions, RelativePosition, Bearing, EgoProgress):
     ASPECTS.register(_class.name, _class)

@@ -20,9 +20,9 @@ from cornercase.study._digest import downsample
 
 
 def refit(analysis: Analysis, distances: FloatArray) -> ScenarioClustering:
-    """Refit the clusters of an analysis, so that further scenarios can be assigned to them.
+    """Fit the clusters of an analysis again, so that further scenarios can be assigned to them.
 
-    `distances`, shape (m, m), are those between the scenarios that the analysis was fitted on, or between its
+    `distances`, shape (m, m), are the distances between the scenarios that the analysis was fitted on, or between its
     landmarks.
     """
     clustering = analysis.clustering
@@ -33,10 +33,11 @@ def refit(analysis: Analysis, distances: FloatArray) -> ScenarioClustering:
 
 
 def assign_to_clusters(study: StudyFile, analysis: Analysis, other_study: StudyFile, ids: Sequence[int]) -> IntArray:
-    """Assign scenarios `ids` of another study to the clusters of an analysis; -1 is noise.
+    """Return the cluster of each of the scenarios `ids` of another study, among the clusters of an analysis of `study`.
 
-    It works like `ScenarioClustering.predict`. The other study must have the same entities, and the same metric if the
-    analysis is by a metric.
+    As in `ScenarioClustering.predict`, a scenario joins the cluster of the nearest dense scenario in its neighbourhood;
+    -1 is noise. The other study must have the same entities. If the analysis is by a metric, the other study must have
+    this metric.
     """
     if not len(ids):
         return np.zeros(0, dtype=np.int64)

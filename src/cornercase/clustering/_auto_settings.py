@@ -26,16 +26,16 @@ GAMMAS: Final = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 COMPONENTS: Final = (3, 6, 12, 24)
 # With a single cluster, the kernel has fallen to 1/e at the median distance.
 SINGLE_CLUSTER_GAMMA: Final = 1.0
-# Share of the edges within clusters that a radius covers: all, or all but those to a few points that become noise.
+# Shares of the edges within clusters that a radius covers: all edges, or all but the longest, which lead to noise.
 EPS_QUANTILES: Final = (1.0, 0.99, 0.97, 0.94, 0.9, 0.8)
 # Agreement with the expected clusters that ends the search.
 GOOD_AGREEMENT: Final = 0.97
 NOISE_COST: Final = 1.0
-# Breaks ties between equal agreements in favour of the wider gap.
+# Weight of the gap between clusters in the score: it breaks ties between equal agreements.
 MARGIN_SHARE: Final = 0.02
 MIN_SCORE: Final = 0.0
 MIN_STABILITY: Final = 0.5
-# The first candidate that is this stable is taken, of at most `MAX_JUDGED`.
+# Of the candidates with the best scores, at most `MAX_JUDGED` are tested for stability, up to the first this stable.
 GOOD_STABILITY: Final = 0.9
 INSTABILITY_COST: Final = 0.1
 MAX_JUDGED: Final = 6
@@ -55,10 +55,10 @@ def search_settings(
     n_components: int | _Auto,
     method: ClusteringMethod,
 ) -> Clustering:
-    """Cluster with the given settings; settings that are ``"auto"`` are searched.
+    """Cluster scenarios with the given settings; settings that are ``"auto"`` are searched.
 
-    `ScenarioClustering` defines the best settings. `distances`, shape (n, n), are in `canonical_order`, since the
-    assignment of border points depends on the order.
+    `ScenarioClustering` describes the search. `distances`, shape (n, n), are in `canonical_order`, since the assignment
+    of border points depends on the order of the scenarios.
     """
     n = len(distances)
     positive = distances[distances > 0.0]
@@ -98,14 +98,14 @@ def search_settings(
 
 
 def canonical_order(distances: FloatArray) -> IntArray:
-    """Order the scenarios by rising sum of distances, which does not depend on the order in which they were given."""
+    """Return the scenarios' indices by rising sum of distances: an order that does not depend on the given order."""
     return np.argsort(distances.sum(axis=1), kind="stable").astype(np.int64)
 
 
 def _candidate_spaces(
     n_scenarios: int, n_components: int | _Auto, min_samples: int | _Auto, smallest_cluster: int
 ) -> Iterator[tuple[int, int]]:
-    """Yield pairs (number of dimensions, `min_samples`) to try, the usual values first."""
+    """Yield pairs to try: dimensions of the kernel space, and `min_samples`; the usual values first."""
     usual = max(3, math.ceil(math.log(n_scenarios))) if n_scenarios >= _MIN_SCENARIOS else 1
     # A cluster of five is not dense if six are needed; clusters that touch need more neighbours to be separated.
     neighbours = [value for value in (usual, 3, 2 * usual) if value <= max(smallest_cluster, 1)]
@@ -116,7 +116,10 @@ def _candidate_spaces(
 
 
 def _mean_f_measure(labels: IntArray, expected: IntArray) -> float:
-    """Match of two clusterings: mean F-measure of each expected cluster with its best match, or vice versa if lower."""
+    """Return how well two clusterings match, 0 to 1: the mean F-measure of each cluster with its best match.
+
+    The mean is over the `expected` clusters or over the clusters in `labels`, whichever is lower.
+    """
     shared = np.zeros((int(expected.max()) + 1, int(labels.max()) + 1))
     if not shared.size:
         return 0.0
@@ -128,14 +131,17 @@ def _mean_f_measure(labels: IntArray, expected: IntArray) -> float:
 
 
 class _Embedding(NamedTuple):
-    """The data of a fitted kernel space that the search needs."""
+    """Coordinates of scenarios in kernel space, shape (n, dimensions), and their share of the variance."""
 
     points: FloatArray
     explained: float
 
 
 class _SettingsSearch:
-    """Search over settings, scored by how well they show the clusters that the distances show."""
+    """Search for the settings with which kernel PCA and DBSCAN find the clusters that the distances show.
+
+    `expected` are these clusters, estimated from the distances. `candidates` are all settings tried so far.
+    """
 
     def __init__(self, distances: FloatArray, searching: bool, method: ClusteringMethod) -> None:
         self._scaled, self._searching, self._method = distances, searching, method
@@ -150,7 +156,7 @@ class _SettingsSearch:
         return max(candidate.score for candidate, _, _ in self.candidates)
 
     def evaluate_kernel(self, gamma: float, eps: float | _Auto, n_components: int, min_samples: int) -> None:
-        """Try all neighbourhood radii for one kernel."""
+        """Try all neighbourhood radii for one kernel, and add each as a candidate."""
         if (gamma, n_components) not in self._embeddings:
             fitted = KernelPca(gamma, n_components).fit(self._scaled)
             self._embeddings[gamma, n_components] = _Embedding(fitted.embedding, fitted.explained)
@@ -179,7 +185,11 @@ class _SettingsSearch:
             self.candidates.append((candidate, labels, space))
 
     def best_candidate(self, settings_given: bool) -> int:
-        """Return the index of the best candidate; the best few are also judged by stability and validity."""
+        """Return the index of the best candidate.
+
+        The few candidates with the highest scores are also tested for stability, and their validity is computed. Unless
+        the settings are given, a single cluster wins if the score or the stability of the best candidate is too low.
+        """
         indices = np.arange(len(self._scaled))
         self._stability = StabilityScorer(self._scaled, indices, method=self._method, max_part_size=MAX_SCORED)
         # At equal scores the wider radius is more robust when scenarios are left out.
@@ -215,7 +225,7 @@ class _SettingsSearch:
         return best
 
     def _add_stability(self, index: int) -> float:
-        """Compute the stability of a candidate, and include it in the score."""
+        """Compute the stability of a candidate, lower its score if it is unstable, and return the stability."""
         candidate, labels, space = self.candidates[index]
         if math.isnan(candidate.stability):
             stability = self._stability.mean_rand_index(candidate, labels)
@@ -227,7 +237,10 @@ class _SettingsSearch:
 
 
 class _TreeEdges:
-    """Edges of the minimum spanning tree in an embedding: those within expected clusters, and those between them."""
+    """Edges of the minimum spanning tree of the mutual reachability distance in an embedding.
+
+    The edges are divided into edges within an expected cluster and edges between two expected clusters.
+    """
 
     def __init__(self, points: FloatArray, expected: IntArray, min_samples: int) -> None:
         n, distances = len(points), squareform(pdist(points))
@@ -240,15 +253,15 @@ class _TreeEdges:
 
     @property
     def gap_clearness(self) -> float:
-        """How clearly the edges between clusters are longer than those within, 0 to 1."""
+        """Gap between the longest edge within clusters and the shortest edge between clusters, relative, 0 to 1."""
         if not len(self._across) or not len(self._within):
             return 0.0
         return max(0.0, 1.0 - float(self._within.max() / max(self._across.min(), 1e-300)))
 
     def candidate_radii(self, method: ClusteringMethod) -> Iterable[float]:
-        """Radii of neighbourhoods to try: above most edges within clusters, and below edges that connect them.
+        """Return neighbourhood radii to try: above most edges within clusters, and below edges between clusters.
 
-        The largest radius connects everything.
+        The largest radius connects all points.
         """
         tiny = 1e-9 + 1e-6 * self._largest
         # A radius equal to a distance would make neighbours depend on the last digits.

@@ -1,4 +1,4 @@
-"""Cells of nearby points, by which distances to points that are too far away are never computed."""
+"""Cells of nearby points, with which searches skip the distances to points that are too far away."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -20,15 +20,16 @@ AXES_PER_STAGE = 8
 """Number of axes by which cells are formed, and after which the distance computation may stop early."""
 
 MARGIN = 1.0 + 1e-9
-"""Factor by which bounds are wider, far more than rounding."""
+"""Factor that widens bounds by far more than rounding errors."""
 
 
 class Cells(NamedTuple):
-    """Cells of points, with their coordinates side by side in memory.
+    """Cells: groups of `CELL_SIZE` nearby points, with their coordinates next to each other in memory.
 
-    `indices`, shape (c, CELL), are those of the points, -1 for padding, whose coordinates are those of the last point.
-    `members`, shape (c, stages, AXES, CELL), are the coordinates. `centers`, shape (AXES, c), and `radii`, shape (c,),
-    are bounding balls of the cells in the first axes.
+    `indices`, shape (c, CELL_SIZE), are the indices of the points in the c cells. Padding has the index -1 and the
+    coordinates of the last point. `members`, shape (c, stages, AXES_PER_STAGE, CELL_SIZE), are the coordinates; a stage
+    is a group of axes. `centers`, shape (AXES_PER_STAGE, c), and `radii`, shape (c,), are bounding balls of the cells
+    in the axes of the first stage.
     """
 
     indices: IntArray
@@ -44,7 +45,7 @@ def pad_axes(points: FloatArray) -> FloatArray:
 
 
 def make_cells(points: FloatArray) -> Cells:
-    """Group points into cells; their number of axes is a multiple of `AXES_PER_STAGE`."""
+    """Group points, shape (n, p), into cells of nearby points; p is a multiple of `AXES_PER_STAGE`."""
     order = cKDTree(points[:, :AXES_PER_STAGE], leafsize=CELL_SIZE).indices
     count = -(-len(order) // CELL_SIZE)
     n_padding = count * CELL_SIZE - len(order)
@@ -62,7 +63,10 @@ def make_cells(points: FloatArray) -> Cells:
 
 @kernel(error_model="numpy", _nrt=False)
 def fill_squares_to_centers(point, centers, result):
-    """Write the squared distances of a point, shape (stages, AXES), to the centres of all cells to `result`."""
+    """Write the squared distances of a point to the centres of all cells to `result`, shape (c,).
+
+    Only the axes of the first stage count. The point has the shape (stages, AXES_PER_STAGE).
+    """
     result[:] = 0.0
     for axis in range(AXES_PER_STAGE):
         for cell in range(len(result)):
@@ -72,9 +76,9 @@ def fill_squares_to_centers(point, centers, result):
 
 @kernel(error_model="numpy", _nrt=False)
 def measure_cell_or_give_up(point, cell, bounds, result):
-    """Write the squared distances of a point to the members of a cell to `result`.
+    """Write the squared distances of a point to the members of a cell to `result`, shape (CELL_SIZE,).
 
-    Returns False as soon as no distance can be less than in `bounds`.
+    Stops early and returns False as soon as each distance is at least as large as its bound in `bounds`.
     """
     result[:] = 0.0
     for stage in range(len(point)):

@@ -32,17 +32,17 @@ class Candidate:
     dbcv, silhouette : float
         Validity on the given distances, -1 to 1; NaN if not computed.
     stability : float
-        Mean adjusted Rand index of these clusters and those of ten random parts of 80 %; 1 by construction if all
-        scenarios are one group, or noise. Like validity, it is computed only for the best candidates overall, and for
-        the best candidates with a few numbers of clusters; NaN for others.
+        Mean adjusted Rand index of these clusters and the clusters of ten random parts of 80 % of the scenarios. It is
+        1 by construction if all scenarios are one group, or noise. Stability and validity are computed only for the
+        best candidates overall, and for the best candidates with a few numbers of clusters; NaN for other candidates.
     score : float
-        Objective of ``"auto"``; -inf without a search. An upper bound if the stability is NaN.
+        Objective that ``"auto"`` maximizes; -inf without a search. If the stability is NaN, this is an upper bound.
     n_components, min_samples : int
         Dimensions of the embedding, and scenarios in a dense neighbourhood; 0 in a study of an early version.
     agreement : float
-        Match of these clusters with the clusters that the distances show, 0 to 1. It is the mean F-measure over the
-        clusters of one or of the other, whichever is less, so that small clusters count as much as large ones. NaN
-        without a search.
+        Match of these clusters with the clusters that the distances show, 0 to 1; NaN without a search. The match is
+        the mean F-measure over the clusters of either side, whichever is less. So small clusters count as much as
+        large ones.
 
     Examples
     --------
@@ -75,7 +75,7 @@ class Clustering:
     Attributes
     ----------
     labels : ndarray of int64, shape (n,)
-        Cluster of each scenario, the largest cluster is 0; -1 is noise.
+        Number of the cluster of each scenario: 0 is the largest cluster, -1 is noise.
     embedding : ndarray of float64, shape (n, n_components)
         Coordinates in kernel space. Each axis is signed so that its entry of largest magnitude is positive.
     gamma, eps : float
@@ -83,17 +83,18 @@ class Clustering:
     min_samples : int
         Number of scenarios in a dense neighbourhood, as given or found.
     scale : float
-        Divisor of the distances; 0 if all distances are 0.
+        Median of the distances above 0, by which all distances are divided; 0 if all distances are 0.
     explained : float
         Share of the variance in kernel space that the embedding keeps, 0 to 1.
     candidates : tuple of Candidate
         All settings that were tried.
     method : {"dbscan", "hdbscan"}
+        Algorithm that found the clusters in kernel space.
     landmarks : ndarray of int64, shape (m,)
-        Scenarios that span the kernel space; empty if all do.
+        Indices of the scenarios that span the kernel space; empty if all scenarios span it.
     error : float
-        Relative error of the kernel that landmarks approximate, between all other scenarios: root mean square of the
-        difference over that of the kernel. It is 0 without landmarks.
+        Relative error of the kernel between scenarios that are no landmarks, if it is approximated from the landmarks:
+        root mean square of the difference, divided by the root mean square of the kernel. It is 0 without landmarks.
 
     Examples
     --------
@@ -119,9 +120,10 @@ class Clustering:
 
     @property
     def stability(self) -> float | None:
-        """Mean adjusted Rand index with the clusters of random parts; None if not computed or all are one cluster.
+        """Mean adjusted Rand index with the clusters of random parts of the scenarios, -1 to 1.
 
-        The stability is also used to choose the settings, so it is not independent evidence.
+        It is None if it was not computed, or if all scenarios are in one cluster, or noise. The stability is also used
+        to choose the settings, so it is not independent evidence.
         """
         if len(np.unique(self.labels)) < 2:
             return None

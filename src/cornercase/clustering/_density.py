@@ -32,7 +32,10 @@ def cluster_by_density(embedding: FloatArray, eps: float, min_samples: int, meth
 
 
 def assign_to_nearest_cluster(new_points: FloatArray, clustering: Clustering) -> IntArray:
-    """Assign new points in the kernel space to the cluster of the nearest dense point; noise if none is near."""
+    """Return the cluster of the nearest dense point for each of some new points in kernel space, shape (m,).
+
+    A point is noise (-1) if no dense point is near.
+    """
     dense = np.flatnonzero(_is_dense(clustering))
     if not len(dense):
         return np.full(len(new_points), NOISE_LABEL, dtype=np.int64)
@@ -43,7 +46,7 @@ def assign_to_nearest_cluster(new_points: FloatArray, clustering: Clustering) ->
 
 
 def renumber_by_size(labels: npt.NDArray[np.int_]) -> IntArray:
-    """Renumber clusters by falling size; ties stay in order, and -1 stays noise."""
+    """Renumber clusters by falling size; clusters of equal size keep their order, and -1 stays noise."""
     sizes = np.bincount(labels[labels >= 0], minlength=1)
     rank = np.empty(len(sizes), dtype=np.int64)
     rank[np.argsort(-sizes, kind="stable")] = np.arange(len(sizes))
@@ -51,7 +54,7 @@ def renumber_by_size(labels: npt.NDArray[np.int_]) -> IntArray:
 
 
 def _is_dense(clustering: Clustering) -> BoolArray:
-    """Mask of the scenarios that are dense points; for HDBSCAN, of all that are in a cluster."""
+    """Return the mask of the scenarios that are dense points; for HDBSCAN, of all scenarios in a cluster."""
     if clustering.method == "hdbscan":
         return np.asarray(clustering.labels >= 0)
     distances = cdist(clustering.embedding, clustering.embedding)
@@ -59,7 +62,7 @@ def _is_dense(clustering: Clustering) -> BoolArray:
 
 
 def _assignment_radius(clustering: Clustering) -> float:
-    """Radius within which a further scenario belongs to a cluster."""
+    """Return the largest distance to a dense point at which a new scenario joins a cluster."""
     if clustering.method == "dbscan":
         return clustering.eps
     # HDBSCAN has no radius: take the largest distance of a member to its min_samples-th neighbour.

@@ -22,7 +22,7 @@ MAX_DIMENSIONS: Final = 48
 
 # Axes with a variance below this share of the largest one are rounding errors.
 _AXIS_TOLERANCE: Final = 1e-9
-# One of the 64 nearest scenarios is in a random choice of a tenth in all but 0.1 % of cases, of a twentieth 4 %.
+# A random tenth of the scenarios lacks all of the 64 nearest scenarios in 0.1 % of cases, a random twentieth in 4 %.
 _N_NEAREST: Final = 64
 _SPARSE_SHARE: Final = 0.05
 _N_WALKS: Final = 8
@@ -31,8 +31,8 @@ _N_WALKS: Final = 8
 class EmbeddedDistances:
     """Squared Euclidean distances of embedded scenarios, computed on demand; behaves like a matrix of shape (n, m).
 
-    `rows`, shape (n, p), and `columns`, shape (m, p), are coordinates of scenarios; by default the columns are the
-    rows. The matrix can be indexed by rows and by ``numpy.ix_``.
+    `rows`, shape (n, p), and `columns`, shape (m, p), are coordinates of scenarios; by default the columns are the same
+    scenarios as the rows. The matrix can be indexed by rows and by ``numpy.ix_``.
     """
 
     def __init__(self, rows: FloatArray, columns: FloatArray | None = None) -> None:
@@ -84,8 +84,8 @@ class EmbeddedDistances:
     def max(self) -> float:
         """Return approximately the largest distance.
 
-        The search starts at eight scenarios, and moves to the farthest scenario until the distance no longer grows.
-        Comparing all pairs would take n² time.
+        The search starts at each of eight scenarios, and moves to the farthest scenario until the distance no longer
+        grows. Comparing all pairs would take n² time.
         """
         largest = 0.0
         for start in np.linspace(0, len(self) - 1, _N_WALKS).astype(np.int64).tolist():
@@ -96,12 +96,18 @@ class EmbeddedDistances:
         return largest
 
     def medoid(self, members: IntArray) -> int:
-        """Return the medoid of some scenarios: the member nearest to their mean, since the distances are squared."""
+        """Return the index of the medoid of some scenarios.
+
+        Distances are squared, so the medoid is the member nearest to the mean of all members.
+        """
         points = self._rows[members]
         return int(members[((points - points.mean(axis=0)) ** 2).sum(axis=1).argmin()])
 
     def distances_to_neighbour(self, rows: IntArray, number: int) -> FloatArray:
-        """Return the distance of some rows to their neighbour of this number; each is its own neighbour number 0."""
+        """Return the distance from each of some rows to its nearest neighbour with this number, counted from 1.
+
+        Number 0 is the row itself.
+        """
         roots, _ = self._tree.query(self._rows[rows], k=[number + 1])
         return np.asarray(roots, dtype=np.float64)[:, 0] ** 2
 
@@ -110,7 +116,7 @@ class EmbeddedDistances:
         return cKDTree(self._rows)
 
     def distances_to_nearest(self, rows: IntArray) -> FloatArray:
-        """Return the distance of each column to the nearest of some rows, shape (m,)."""
+        """Return the distance from each column to the nearest of the given rows, shape (m,)."""
         return self._squares_to_nearest(rows, np.arange(len(self._columns)))
 
     def _squares_to_nearest(self, rows: IntArray, columns: IntArray) -> FloatArray:
@@ -140,9 +146,9 @@ class EmbeddedDistances:
         return nearest
 
     def medoids(self, count: int) -> IntArray:
-        """Choose `count` scenarios such that all scenarios are near to one of them; return rising indices.
+        """Choose `count` scenarios so that each scenario is near to a chosen scenario; return rising indices.
 
-        The distances are squared, so k-means minimises their sum. The scenario nearest to each mean is chosen.
+        Distances are squared, so k-means minimises their sum. The scenario nearest to the mean of each group is chosen.
         """
         n = len(self)
         if count >= n:
@@ -187,7 +193,7 @@ class LandmarkMDS:
             return np.asarray(-0.5 * (to_landmarks - self._means) @ self._axes)
 
     def embed(self, to_landmarks: FloatArray) -> FloatArray:
-        """Embed scenarios by their distances to the landmarks, shape (n, m)."""
+        """Return coordinates of scenarios from their distances to the landmarks, shape (n, m)."""
         return self._project(to_landmarks) * self._scale
 
 

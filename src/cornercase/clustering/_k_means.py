@@ -1,8 +1,7 @@
-"""k-means for very many clusters, up to a tenth of the points, in less time than points times clusters.
+"""k-means for very many clusters, up to a tenth of the points; each point is compared only with nearby centres.
 
-It finds what `sklearn.cluster.KMeans` finds with the same seed, but compares each point only with centres nearby. D.
-Arthur, S. Vassilvitskii, "k-means++: The advantages of careful seeding", 2007; S. Lloyd, "Least squares quantization in
-PCM", 1982.
+The result is the same as from `sklearn.cluster.KMeans` with the same seed. D. Arthur, S. Vassilvitskii, "k-means++: The
+advantages of careful seeding", 2007; S. Lloyd, "Least squares quantization in PCM", 1982.
 """
 
 from __future__ import annotations
@@ -23,7 +22,10 @@ _TOLERANCE: Final = 1e-4
 
 
 def find_k_means(points: FloatArray, k: int) -> tuple[IntArray, FloatArray]:
-    """Return the cluster of each point, shape (n,), and the centres, shape (k, p). Clusters may be empty."""
+    """Divide points, shape (n, p), into k clusters by k-means.
+
+    Returns the cluster of each point, shape (n,), and the centres, shape (k, p). Clusters may be empty.
+    """
     mean = points.mean(axis=0)
     points = pad_axes(points - mean)
     centers = points[_choose_starts(points, k)]
@@ -43,7 +45,7 @@ def find_k_means(points: FloatArray, k: int) -> tuple[IntArray, FloatArray]:
 
 
 def _choose_starts(points: FloatArray, k: int) -> IntArray:
-    """Choose the points that are the initial centres, as scikit-learn does with seed 0."""
+    """Choose the points that are the initial centres, as scikit-learn does with seed 0; return their indices."""
     rng = np.random.RandomState(0)
     first = int(rng.choice(len(points), p=np.full(len(points), 1.0 / len(points))))
     random_numbers = rng.uniform(size=(k - 1, 2 + int(math.log(k))))
@@ -57,7 +59,7 @@ def _nearest_center(points: FloatArray, centers: FloatArray) -> IntArray:
 
 
 def _mean_per_cluster(points: FloatArray, labels: IntArray, centers: FloatArray) -> FloatArray:
-    """Mean of the points of each cluster; the centre of an empty cluster stays where it is."""
+    """Return the mean of the points of each cluster, shape (k, p); the centre of an empty cluster stays as it is."""
     order = np.argsort(labels, kind="stable")
     used, starts, counts = np.unique(labels[order], return_index=True, return_counts=True)
     means = centers.copy()

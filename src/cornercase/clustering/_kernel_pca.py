@@ -41,7 +41,10 @@ class KernelPca:
         return self
 
     def transform(self, distances: FloatArray) -> FloatArray:
-        """Project further scenarios; `distances`, shape (m, n), are to the fitted ones, divided by the same scale."""
+        """Return the coordinates of further scenarios, shape (m, n_components).
+
+        `distances`, shape (m, n), are from the further scenarios to the fitted scenarios, divided by the same scale.
+        """
         embedding = np.zeros((len(distances), self._n_components))
         if self._pca is not None and len(distances):
             coordinates = self._pca.transform(self._gaussian_kernel(distances))
@@ -49,9 +52,11 @@ class KernelPca:
         return embedding
 
     def approximation_error(self, to_fitted: FloatArray, between: FloatArray, tolerance: float = 1e-10) -> float:
-        """Return the relative error (Frobenius norm) of the kernel of further scenarios that fitted ones approximate.
+        """Return the relative error (Frobenius norm) if the kernel between further scenarios is approximated.
 
-        Singular values below the share `tolerance` of the largest one count as rounding errors.
+        The approximation uses the kernel between further and fitted scenarios. `to_fitted`, shape (m, n), are distances
+        to the fitted scenarios, `between`, shape (m, m), are distances between the further scenarios. Singular values
+        below the share `tolerance` of the largest singular value count as rounding errors.
         """
         cross, kernel = self._gaussian_kernel(to_fitted), self._gaussian_kernel(between)
         weights = lstsq(self._fitted_kernel, cross.T, cond=tolerance)[0]
@@ -66,7 +71,10 @@ class KernelPca:
 
 
 def _fit_kernel_pca(kernel: FloatArray, n_components: int) -> tuple[KernelPCA, FloatArray]:
-    """Kernel PCA with `n_components` components, or with as many as have positive eigenvalues."""
+    """Fit a kernel PCA, and return the model and the coordinates of the scenarios.
+
+    There are `n_components` components, or fewer if fewer eigenvalues are positive.
+    """
     model = KernelPCA(n_components, kernel="precomputed", random_state=0)
     try:
         return model, model.fit_transform(kernel)

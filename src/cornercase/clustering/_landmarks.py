@@ -1,8 +1,8 @@
 """Clustering of very many scenarios by landmarks; time and memory do not grow with the square of their number.
 
-Landmarks, some random scenarios, are compared with each other and clustered. The other scenarios are compared only
-with a few landmarks, the anchors. From these distances, their distances to all landmarks are computed. Finally, they
-join the clusters of the landmarks.
+Landmarks, some random scenarios, are compared with each other and clustered. The other scenarios are compared only with
+a few landmarks, the anchors. The distances to all landmarks are estimated from the distances to the anchors. Finally,
+the other scenarios join the clusters of the landmarks.
 """
 
 from __future__ import annotations
@@ -24,9 +24,12 @@ from cornercase.clustering._scenario_clustering import ScenarioClustering
 from cornercase.dtw import distance_matrix, distances_to
 
 MAX_ALL_PAIRS: Final = 2000
-"""Largest number of scenarios for which all pairs are compared; with more, each is compared with some landmarks."""
+"""Largest number of scenarios for which all pairs are compared.
+
+If there are more, each scenario is compared with some landmarks only.
+"""
 N_LANDMARKS: Final = 500
-"""Number of landmarks."""
+"""Number of landmarks: random scenarios that are compared with each other."""
 # Scenarios, other than landmarks, on which the error of the embedding is measured.
 _N_ERROR_SCENARIOS: Final = 200
 # Scenarios that are compared with the anchors at a time; takes some seconds.
@@ -35,11 +38,11 @@ _BATCH_SIZE: Final = 1000
 
 @dataclass(frozen=True, eq=False)
 class LandmarkClustering:
-    """Clusters and embedding of scenarios by their distances to landmarks.
+    """Clusters and embedding of n scenarios by their distances to m landmarks.
 
-    `embedding`, shape (n, p), has the coordinates for `EmbeddedDistances`. `landmark_distances`, shape (m, m), are
-    those between the landmarks. `embedding_error` is the mean absolute error of embedded distances between other
-    scenarios, as a share of the mean distance.
+    `embedding`, shape (n, p), has the coordinates for `EmbeddedDistances`. `landmark_distances`, shape (m, m), are the
+    distances between the landmarks. `embedding_error` is the mean absolute error of the embedded distances between
+    scenarios that are no landmarks, as a share of the mean distance.
     """
 
     clustering: Clustering
@@ -50,10 +53,11 @@ class LandmarkClustering:
 
 @dataclass(eq=False)
 class PairwiseComparer:
-    """Compares scenarios by DTW of downsampled series; distances are multiplied by `stride` to make up for it.
+    """Comparison of scenarios by DTW of their downsampled series.
 
-    `window` is in instants. `progress` is the label of a progress bar; None for no bar. `seconds` is the time spent so
-    far.
+    `stride` is the stride of downsampling. Distances are multiplied by it, since downsampled series have fewer
+    instants. `window` is in downsampled instants. `progress` is the label of a progress bar; None for no bar. `seconds`
+    is the time spent so far.
     """
 
     series: Sequence[FloatArray]
@@ -94,7 +98,7 @@ class PairwiseComparer:
 
 
 def draw_landmarks(n_scenarios: int) -> IntArray:
-    """Draw landmark scenarios at random; return rising indices. Landmarks are dense where scenarios are dense."""
+    """Draw landmarks at random, so that they are dense if scenarios are dense; return rising indices of scenarios."""
     drawn = np.random.default_rng(0).choice(n_scenarios, min(N_LANDMARKS, n_scenarios), replace=False)
     return np.sort(drawn).astype(np.int64)
 
@@ -117,7 +121,10 @@ def assign_by_landmarks(
     existing: Clustering,
     labels: IntArray,
 ) -> LandmarkClustering:
-    """Assign scenarios to the clusters of an earlier analysis; landmarks stay in their clusters `labels`, (m,)."""
+    """Assign scenarios to the clusters of an earlier analysis by their distances to landmarks.
+
+    `existing` are these clusters. The landmarks stay in the clusters `labels`, shape (m,).
+    """
     dimensions = existing.embedding.shape[1]
     fitted = ScenarioClustering(
         existing.gamma, existing.eps, existing.min_samples, dimensions, method=existing.method
@@ -132,7 +139,10 @@ def assign_by_landmarks(
 def _assign_all(
     comparer: PairwiseComparer, landmarks: IntArray, landmark_distances: FloatArray, fitted: ScenarioClustering
 ) -> tuple[Clustering, FloatArray, float]:
-    """Assign all scenarios; return clusters, coordinates, and the error of embedded distances."""
+    """Assign all scenarios to the clusters of the landmarks.
+
+    Returns the clusters, the coordinates of the scenarios for `EmbeddedDistances`, and the error of these distances.
+    """
     n = len(comparer.series)
     clustering, embedder = fitted.result_, LandmarkMDS(landmark_distances)
     completion = DistanceCompletion(landmark_distances)

@@ -15,7 +15,7 @@ from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.clustering._kernels.spanning_tree import fill_spanning_tree
 
 MIN_MEMBERS: Final = 4
-# Scenarios that a gap may contain: few reveal small separate clusters, many reveal clusters with points between them.
+# Numbers of neighbours for mutual reachability: few reveal small clusters, many reveal clusters with points in between.
 NEIGHBOUR_COUNTS: Final = (3, 6, 12, 24)
 # A gap below this share of the median distance separates no clusters, however clear: scenarios that differ by one time
 # step have such gaps. Calibrated on the T-intersection (at most 0.02 between time steps, 0.37 between outcomes) and on
@@ -24,14 +24,16 @@ MIN_GAP: Final = 0.05
 # Strength that one of ten data sets without structure exceeds, for 1, 2 and 3 dimensions: factor of ln(n), constant,
 # and increase per neighbour beyond six. Calibrated on uniform and normal points, n from 60 to 1,000.
 CHANCE_STRENGTH: Final = ((4.5, -3.0, 1.0), (1.6, 1.5, 0.5), (1.2, 1.0, 0.4))
-# Families of trajectories are less even than such points: a split must be stronger by the factor CLEAR, or by FAIR if
-# it is STANDS_OUT times as strong as the next one. Calibrated on benchmarks/kinds.py with odd seeds.
+# Families of trajectories are less even than such points: a split must be stronger than chance by CLEAR_FACTOR, or by
+# FAIR_FACTOR if it is STANDOUT_RATIO times as strong as the next split. Calibrated on benchmarks/kinds.py with odd
+# seeds.
 CLEAR_FACTOR, FAIR_FACTOR, STANDOUT_RATIO = 1.4, 1.15, 2.0
-# Smallest number of members at the seam to the other group, and the factor of their neighbours. Calibrated on the
-# T-intersection and on braking of benchmarks/kinds.py with odd seeds.
+# Smallest number of members at the seam (those nearest to the other group), and factor for the number of their
+# neighbours. Calibrated on the T-intersection and on braking of benchmarks/kinds.py with odd seeds.
 MIN_SEAM_MEMBERS, SEAM_FACTOR = 10, 1.15
-# Splits are tested together for at most FEW scenarios, with groups of at least FEWEST: with more, large clusters show
-# by themselves, and three points that are close by accident are frequent. Calibrated on two rings of 300 points.
+# Splits are tested together for at most MAX_JOINT_TEST scenarios, with groups of at least MIN_JOINT_MEMBERS: with more
+# scenarios, large clusters show without this test, and three points that are close by accident are frequent. Calibrated
+# on two rings of 300 points.
 MAX_JOINT_TEST, MIN_JOINT_MEMBERS = 100, 3
 # Significance level of the joint test. Calibrated on families and clusters of sixty scenarios of benchmarks/kinds.py
 # with odd seeds.
@@ -47,21 +49,23 @@ def estimate_clusters(distances: FloatArray) -> IntArray:
 
     `distances`, shape (n, n), may have any unit. If distances are equal, the order of the scenarios may matter.
 
-    The minimum spanning tree of mutual reachability (Campello et al. 2013) merges scenarios, the nearest first. If two
-    groups merge at length r, the strength of the split is the number of neighbours within r of a typical member, in the
-    group in which this number is smaller. Mutual reachability allows a point between the groups hardly more than `k`
-    neighbours. So strength over `k` is a ratio of densities, in any number of dimensions. If r exceeds the extent of a
-    group, as for a small group far away, the strength grows with r over the extent. Splits that are no stronger than
-    chance are merged: the weaker group becomes part of the other. Clusters are divided again until none divides.
+    The minimum spanning tree of mutual reachability with k neighbours (Campello et al. 2013) merges scenarios, the
+    nearest first. If two groups merge at length r, the strength of the split is the number of neighbours within r of a
+    typical member, in the group in which this number is smaller. Mutual reachability allows a point between the groups
+    hardly more than k neighbours. So strength over k is a ratio of densities, in any number of dimensions. If r exceeds
+    the extent of a group, as for a small group far away, the strength grows with r over the extent. Splits that are no
+    stronger than chance are merged: the weaker group becomes part of the stronger group. Clusters are divided again
+    until no cluster divides.
 
     The strength of the strongest split by chance depends on the number of scenarios and on their intrinsic dimension,
     which is estimated from distances to neighbours (Levina and Bickel 2005).
 
-    Among few scenarios no single split may be clear, though all of them together are. So for up to a hundred scenarios
-    all gaps are first tested together. Random gaps between points on a line are exponential; in d dimensions the gap to
-    the power of d is exponential. Each number of groups is tested by the sum of the logarithms of the gaps, as
-    multiples of the longest step within a group. By chance this sum follows at most a gamma distribution. If one of the
-    sums is too large for chance, the number of groups is chosen for which the sum times the silhouette is largest.
+    Among few scenarios, each single split may be unclear although all splits together are clear. So for up to a hundred
+    scenarios all gaps are first tested together. Random gaps between points on a line are exponential; in d dimensions
+    the gap to the power of d is exponential. For each number of groups, the test uses the sum of the logarithms of the
+    gaps, as multiples of the longest step within a group. By chance this sum follows at most a gamma distribution. If
+    any of these sums is too large for chance, the number of groups with the largest product of sum and silhouette is
+    chosen.
     """
     n = len(distances)
     labels = np.zeros(n, dtype=np.int64)
@@ -119,7 +123,10 @@ def _test_gaps_jointly(distances: FloatArray, min_gap: float) -> IntArray:
 
 
 def _split_by_density(distances: FloatArray, min_gap: float) -> IntArray:
-    """Split scenarios with the smallest number of neighbours for which they divide; the labels begin at 0."""
+    """Split scenarios into groups with a gap in density between them; return labels from 0.
+
+    Several numbers of neighbours are tried, the smallest first, until the scenarios divide.
+    """
     n = len(distances)
     if n >= 2 * MIN_MEMBERS:
         dimension = _intrinsic_dimension(distances, _DIMENSION_NEIGHBOURS)
@@ -140,18 +147,18 @@ def _split_by_density(distances: FloatArray, min_gap: float) -> IntArray:
 
 
 def _split_strength_by_chance(n: int, n_neighbours: int, dimension: float) -> float:
-    """Strength of the strongest split that is expected by chance within a single cluster.
+    """Return the strength of the strongest split that is expected by chance within a single cluster.
 
-    It is at least that of a ratio of densities of two.
+    The result is at least twice the number of neighbours, which is a ratio of densities of two.
     """
     by_dimension = [a * math.log(n) + b + c * max(n_neighbours - 6, 0) for a, b, c in CHANCE_STRENGTH]
     return max(float(np.exp(np.interp(dimension, [1.0, 2.0, 3.0], np.log(by_dimension)))), 2.0 * n_neighbours)
 
 
 def _lowest_accepted_strength(strengths: list[float], fair: float, clear: float) -> float:
-    """Smallest strength at which a split is accepted.
+    """Return the smallest strength at which a split is accepted.
 
-    It lies below `clear` if a split is much stronger than all weaker ones.
+    This is `clear`, or less if a split of at least the strength `fair` is much stronger than all weaker splits.
     """
     accepted = clear
     descending = [*sorted(strengths, reverse=True), 0.0]
@@ -162,7 +169,7 @@ def _lowest_accepted_strength(strengths: list[float], fair: float, clear: float)
 
 
 def _intrinsic_dimension(distances: FloatArray, n_neighbours: int) -> float:
-    """Intrinsic dimension (Levina and Bickel 2005); 1 if scenarios are identical."""
+    """Estimate the intrinsic dimension of scenarios (Levina and Bickel 2005); 1 if scenarios are identical."""
     k = min(n_neighbours, len(distances) - 2)
     neighbour_distances = np.sort(np.partition(distances, k, axis=1)[:, : k + 1], axis=1)[:, 1:]
     neighbour_distances = neighbour_distances[neighbour_distances[:, 0] > 0.0]
@@ -188,7 +195,10 @@ class _ReachabilityHierarchy:
         self._least = max(MIN_MEMBERS, n_neighbours)
 
     def split(self, min_strength: float) -> tuple[IntArray, list[float]]:
-        """Return the groups that are separated by splits of sufficient strength, and the strengths of all splits."""
+        """Return the group of each scenario, shape (n,), and the strengths of all splits.
+
+        Groups are separated by splits with a strength of at least `min_strength`.
+        """
         n = len(self._distances)
         label, tree = np.arange(n), np.arange(n)
         members = {i: np.array([i]) for i in range(n)}
@@ -223,10 +233,11 @@ class _ReachabilityHierarchy:
         return label, strengths
 
     def _estimate_typical_members_within(self, members: IntArray, others: IntArray, radius: float) -> float:
-        """Number of members within `radius` of a typical member, extrapolated if `radius` exceeds their extent.
+        """Estimate the number of members within `radius` of a typical member.
 
-        The number is limited by that at the members nearest to the `others`. There is no gap between two clusters where
-        a dense part meets a sparse one, or a few points lie at a sparse edge, though most members of one lie close
+        The number is extrapolated if `radius` exceeds the extent of the members. It is limited by the number within
+        `radius` of the members nearest to the `others`. Otherwise a dense part that touches a sparse part, or a few
+        points at a sparse edge, would count as separate clusters, since most members of a dense part lie close
         together.
         """
         distances = self._distances[np.ix_(members[:: math.ceil(len(members) / _MAX_SAMPLED_MEMBERS)], members)]

@@ -26,7 +26,7 @@ _SINGULAR_VALUE_TOLERANCE: Final = 1e-7
 
 
 class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
-    """Cluster scenarios by their distances, and assign new scenarios to the existing clusters.
+    """Estimator that clusters scenarios by their distances, and assigns new scenarios to the existing clusters.
 
     The distances d become a Gaussian kernel ``exp(-gamma * (d / scale)**2)``, as in [1]_. Kernel PCA [2]_ projects the
     kernel to a few dimensions, and DBSCAN [3]_ finds the dense regions there. `scale` is the median distance of two
@@ -41,33 +41,35 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
         Radius of DBSCAN's neighbourhood in the embedding, without unit; for HDBSCAN the distance below which clusters
         are not divided.
     min_samples : int or "auto", default "auto"
-        Scenarios in a neighbourhood, itself included, that make it dense. ``"auto"`` is ``ln(n)``, rounded up and at
-        least 3 [4]_; 3, or twice as many, if that shows the clusters better.
+        Number of scenarios that make a neighbourhood dense, including the scenario at its centre. ``"auto"`` is
+        ``ln(n)``, rounded up and at least 3 [4]_, or 3, or twice ``ln(n)``, if this shows the clusters better.
     n_components : int or "auto", default "auto"
         Dimensions of the embedding; the paper takes 3. ``"auto"`` is 3, or 6, 12 or 24 if there are more clusters than
         three dimensions can separate.
     method : {"dbscan", "hdbscan"}, default "dbscan"
         Algorithm that finds the clusters in the embedding. HDBSCAN [5]_ allows clusters of different density.
     landmarks : int, "auto" or None, default "auto"
-        Number of scenarios that span the kernel space; the others are projected on it [10]_ and join the cluster of the
-        nearest dense landmark. None for all; ``"auto"`` is 2,000 if there are more than 5,000 scenarios.
+        Number of scenarios, the landmarks, that span the kernel space. All other scenarios are projected onto this
+        space [10]_ and join the cluster of the nearest dense landmark. None: all scenarios span the space. ``"auto"``:
+        2,000 if there are more than 5,000 scenarios, otherwise all.
 
     Attributes
     ----------
     labels_ : ndarray of int64, shape (n,)
-        The largest cluster is 0; -1 is noise.
+        Number of the cluster of each scenario: 0 is the largest cluster, -1 is noise.
     embedding_ : ndarray of float64, shape (n, n_components)
+        Coordinates of the scenarios in kernel space.
     gamma_, eps_ : float
     min_samples_ : int
         Settings that were given or chosen.
     candidates_ : tuple of Candidate
         All settings that were tried.
     landmarks_ : ndarray of int64, shape (m,)
-        Scenarios that span the kernel space; empty if all do.
+        Indices of the scenarios that span the kernel space; empty if all scenarios span it.
     result_ : Clustering
-        All of these, and how well the embedding keeps the kernel.
+        All of these results, and how well the embedding represents the kernel.
     n_features_in_ : int
-        n.
+        Number n of scenarios.
 
     See Also
     --------
@@ -78,21 +80,23 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
     -----
     ``"auto"`` has two steps.
 
-    First, the number of clusters is estimated on the given distances: the hierarchy of mutual reachability [5]_ merges
-    scenarios, the nearest first, and two groups stay apart if the gap between them would hold clearly more neighbours
-    of each group's members than a gap within a single cluster holds by chance. Chance depends on the number of
-    scenarios and on their intrinsic dimension [7]_. A gap of less than 5 % of the median distance does not separate
-    clusters. So a single cluster is the default, and each further one needs evidence; four scenarios can be one if they
-    are far enough from the others. For up to a hundred scenarios all gaps are first tested together, since none of
-    several may be clear by itself; then three can be a cluster.
+    First, the clusters are estimated from the given distances. The hierarchy of mutual reachability [5]_ merges
+    scenarios, the nearest first. Two groups stay separate if the gap between them is wide: in each group, clearly more
+    neighbours of a typical member are within the width of the gap than would be by chance in a single cluster. Chance
+    depends on the number of scenarios and on their intrinsic dimension [7]_. A gap of less than 5 % of the median
+    distance does not separate clusters. So a single cluster is the default, and each further cluster needs evidence. A
+    cluster can be as small as four scenarios if they are far enough from the other scenarios. For up to a hundred
+    scenarios, all gaps are first tested together, since each single gap may be unclear. In this test, a cluster can be
+    as small as three scenarios.
 
-    Second, settings are searched with which kernel PCA and DBSCAN find these clusters: `gamma` on a fixed grid, `eps`
-    between the edges within clusters and those across. The score of a candidate is the mean F-measure of its clusters
-    and the expected ones, less the share of noise, less up to 0.1 if the same settings find other clusters in random
-    parts of 80 % of the scenarios [9]_, plus a small term for a wide gap in the embedding. The best score wins. If its
-    clusters are found again only with an adjusted Rand index below 0.5, or if there are fewer than 5 scenarios, all are
-    one cluster. `Candidate.agreement` is how well each candidate matches the expected clusters. DBCV [6]_ and
-    silhouette [8]_ are given for comparison and decide nothing.
+    Second, the search looks for settings with which kernel PCA and DBSCAN find these expected clusters: `gamma` on a
+    fixed grid, and `eps` between the distances within clusters and the distances between clusters. The score of a
+    candidate is the mean F-measure of its clusters and the expected clusters, less the share of noise. Up to 0.1 is
+    subtracted if the same settings find other clusters in random parts of 80 % of the scenarios [9]_. A small term is
+    added for a wide gap in the embedding. The best score wins. All scenarios are one cluster if there are fewer than 5
+    scenarios, or if the clusters of the best candidate and of the random parts have a mean adjusted Rand index below
+    0.5. `Candidate.agreement` is how well each candidate matches the expected clusters. DBCV [6]_ and silhouette [8]_
+    are computed for comparison only.
 
     References
     ----------
@@ -145,7 +149,7 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
         Returns
         -------
         ScenarioClustering
-            Itself.
+            This estimator.
 
         Raises
         ------
@@ -212,7 +216,7 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
         Parameters
         ----------
         distances : array_like, shape (m, n)
-            From each new scenario to those that were clustered.
+            Distances from each new scenario to the scenarios that were clustered.
 
         Returns
         -------
@@ -238,40 +242,40 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
     def predict(self, distances: npt.ArrayLike) -> IntArray:
         """Assign new scenarios to the existing clusters, without changing the clusters.
 
-        As in DBSCAN, a scenario joins the cluster of the nearest dense scenario within its neighbourhood; without a
-        dense scenario there, it is noise.
+        As in DBSCAN, a scenario joins the cluster of the nearest dense scenario in its neighbourhood. A scenario is
+        noise if no dense scenario is in its neighbourhood.
 
         Parameters
         ----------
         distances : array_like, shape (m, n)
-            From each new scenario to those that were clustered.
+            Distances from each new scenario to the scenarios that were clustered.
 
         Returns
         -------
         ndarray of int64, shape (m,)
-            Cluster of each; -1 is noise.
+            Number of the cluster of each new scenario; -1 is noise.
 
         Raises
         ------
         InputError
-            As `transform`.
+            The shape is not (m, n), or a distance is negative or not finite.
         """
         return assign_to_nearest_cluster(self.transform(distances), self._fitted_clustering)
 
     def kernel_approximation_error(self, distances: FloatArray, distances_between_new: FloatArray) -> float:
-        """Return the relative error of the kernel of new scenarios, approximated from the clustered ones.
+        """Return the relative error of the kernel between new scenarios, approximated from the clustered scenarios.
 
         Parameters
         ----------
         distances : ndarray of float64, shape (m, n)
-            From each new scenario to those that were clustered.
+            Distances from each new scenario to the scenarios that were clustered.
         distances_between_new : ndarray of float64, shape (m, m)
-            Between the new ones.
+            Distances between the new scenarios.
 
         Returns
         -------
         float
-            As `Clustering.error`.
+            Relative error, as in `Clustering.error`.
         """
         with single_threaded_blas():
             return self._space.approximation_error(
@@ -281,7 +285,7 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
             )
 
     def _in_given_order(self) -> Clustering:
-        """Clusters of all scenarios, in the order in which the scenarios were given."""
+        """Return the clusters of all scenarios, in the order in which the scenarios were given."""
         order = np.argsort(self._kernel_rows)
         return replace(
             self._fitted_clustering,
@@ -290,7 +294,7 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
         )
 
     def _extend_to_all(self, matrix: FloatArray) -> Clustering:
-        """Clusters of the landmarks, extended to all other scenarios."""
+        """Return the clusters of the landmarks, extended to all scenarios."""
         landmarks = self._kernel_rows
         embedding = self._space.transform(matrix[:, landmarks] / self._scale)
         embedding[landmarks] = self._fitted_clustering.embedding
@@ -302,7 +306,7 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
             matrix[np.ix_(sample, landmarks)] / self._scale, matrix[np.ix_(sample, sample)] / self._scale
         )
         labels = renumber_by_size(labels)
-        # With all scenarios the order of sizes may differ; new ones are assigned to the final labels.
+        # With all scenarios, another cluster may be the largest; new scenarios get the final numbers of clusters.
         self._fitted_clustering = replace(self._fitted_clustering, labels=labels[landmarks])
         return replace(
             self._fitted_clustering, labels=labels, embedding=embedding, landmarks=np.sort(landmarks), error=error
@@ -345,7 +349,7 @@ def cluster(
 
     See Also
     --------
-    ScenarioClustering : The estimator behind it, which also assigns new scenarios.
+    ScenarioClustering : The estimator behind this function, which also assigns new scenarios.
 
     Examples
     --------

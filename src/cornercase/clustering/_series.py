@@ -1,4 +1,4 @@
-"""Time series by which the scenarios of a study are compared."""
+"""Time series by which the scenarios of a study are compared, for each aspect or metric."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from cornercase.study import StudyFile
 from cornercase.study._digest import ScenarioDigest
 
 DEFAULT_ASPECTS: Final = (EGO_TRAJECTORY, "bearing", "interaction")
-"""Aspects that `analyze` uses besides the metrics of the study."""
+"""Aspects that `analyze` uses by default, in addition to the metrics of the study."""
 
 
 def default_aspects(study: StudyFile) -> tuple[str, ...]:
@@ -36,7 +36,7 @@ def require_known_aspect(study: StudyFile, aspect: str) -> None:
     if aspect.partition(":")[0] not in ASPECTS:
         if aspect.partition(":")[0] in METRICS:
             has = ", ".join(study.meta.metrics)
-            raise InputError(f"`by` {aspect}: {study.path} was explored without this metric; it has {has}.")
+            raise InputError(f"`by` {aspect}: {study.path} was explored without this metric; the study has {has}.")
         names = sorted({*ASPECTS.names(), *study.meta.metrics})
         raise InputError(f"`by` {aspect}: {study.path} has no such aspect or metric; {suggest_name(aspect, names)}")
     create_aspect(aspect)
@@ -59,10 +59,11 @@ def create_aspect(name: str) -> Aspect:
 def read_series(
     study: StudyFile, aspect: str, ids: Sequence[int] | None = None, other_entity: str | None = None
 ) -> list[FloatArray]:
-    """Return one time series per finished scenario, or per scenario in `ids`.
+    """Return the time series of each scenario in `ids`, or of each finished scenario, for an aspect.
 
-    The series have shape (T_i, k), or (T_i,) for a metric. `other_entity` is the entity that aspects look at besides
-    the ego. By default it is the main other entity of the study.
+    An aspect is what scenarios are compared by. The series have shape (T_i, k), or (T_i,) if the aspect is a metric.
+    `other_entity` is the entity that the aspect looks at in addition to the ego; by default the main other entity of
+    the study.
     """
     require_known_aspect(study, aspect)
     ids = [row.id for row in study.finished_rows()] if ids is None else ids
@@ -78,9 +79,10 @@ def read_series(
 
 
 def digested_series(digest: ScenarioDigest, aspect: Aspect, other_index: int) -> FloatArray | None:
-    """Return the stored series of one scenario for an aspect, shape (M, k); None if it is not stored.
+    """Return the series of one scenario for an aspect from its digest (downsampled recording), shape (M, k).
 
-    `other_index` is the index of the entity that the aspect looks at, among the other entities of the study.
+    The result is None if the digest does not contain it. `other_index` is the index of the entity that the aspect looks
+    at, among the other entities of the study.
     """
     position, bearing = digest.position_and_bearing(other_index)
     # Another package may have replaced an aspect.
@@ -96,8 +98,7 @@ def aspect_series(
 ) -> FloatArray:
     """Compute and check the time series of one scenario for an aspect, shape (T, k).
 
-    `other_entity` is the entity that the aspect looks at besides the ego. It is the same in all scenarios that are
-    compared.
+    `other_entity` is the entity that the aspect looks at in addition to the ego, the same in all compared scenarios.
     """
     # All aspects get the same recording.
     recording = read_only(recording)
@@ -135,7 +136,7 @@ def require_same_channels(study: StudyFile, aspect: str, ids: Sequence[int], ser
 
 
 def distance_unit(study: StudyFile, aspect: str) -> str:
-    """Return the unit of DTW distances by an aspect, which is that of the series; "1" for none."""
+    """Return the unit of the series of an aspect, which is also the unit of DTW distances; "1" for none."""
     require_known_aspect(study, aspect)
     return study.meta.create_metric(aspect).unit if aspect in study.meta.metrics else create_aspect(aspect).unit
 
@@ -155,7 +156,8 @@ def window_in_instants(times: Sequence[FloatArray], window_seconds: float | None
         return 1
     if max(steps) > 1.01 * min(steps):
         raise InputError(
-            f"`window`: the recordings have time steps from {min(steps):.4g} s to {max(steps):.4g} s; leave it out."
+            f"`window`: needs recordings with equal time steps, but the steps range from {min(steps):.4g} s to"
+            f" {max(steps):.4g} s; leave `window` out."
         )
     # The cap avoids an overflow; no recording has that many instants.
     return math.floor(min(float(window_seconds) / steps[0], 1e9) + 1e-6) + 1

@@ -1,4 +1,4 @@
-"""What gamma and eps do: the clusters for a grid of settings, and how good they are."""
+"""Map of clustering settings: the clusters for a grid of gamma, eps and min_samples, and how good they are."""
 
 from __future__ import annotations
 
@@ -22,22 +22,31 @@ from cornercase.study import StudyFile
 
 GAMMAS: Final = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 EPS: Final = (0.01, 0.02, 0.03, 0.05, 0.07, 0.1, 0.15, 0.2, 0.3, 0.5, 0.7, 1.0)
-"""Round values, so that what is chosen can be typed; the paper's gamma of 100 is one of them."""
+"""Grid of gamma (kernel width) and eps (neighbourhood radius): round values, which are easy to type.
+
+The gamma of the paper, 100, is among them.
+"""
 N_COMPONENTS: Final = 3
-"""Dimensions of the kernel space, as in the paper, and as `analyze` takes them where all settings are given."""
+"""Number of dimensions of the kernel space, as in the paper, and as in `analyze` if gamma and eps are given."""
 MAX_MAPPED: Final = 500
-"""Largest number of scenarios that the map is computed for; of more, a random sample."""
+"""Largest number of scenarios for which the map is computed; if there are more, it uses a random sample."""
 _STABILITY, _AGREEMENT, _EXPLAINED = "stability", "agreement", "explained "
 
 
 @dataclass(frozen=True, eq=False)
 class SettingsMap:
-    """Clusters of n scenarios by one aspect, for g values of gamma, e values of eps and m of min_samples.
+    """Clusters of n scenarios by one aspect (what scenarios are compared by) for each setting of a grid.
 
-    `rows`, shape (n,), are those of the analysis: all, or a random sample. `labels` has shape (m, g, e, n),
-    `embeddings` (g, n, 3). All scores have shape (m, g, e): `stability` (NaN for a single group), `agreement` with the
-    outcome (adjusted mutual information; NaN if all end in the same way), and `explained`, by metric the share of the
-    variance of its scores (NaN if they do not vary).
+    The grid has g values of `gammas` (kernel width), e values of `eps` (neighbourhood radius) and m values of
+    `min_samples` (scenarios in a dense neighbourhood).
+
+    `rows`, shape (n,), are the rows of the scenarios in the analysis: all rows, a random sample, or the landmarks.
+    `labels` has shape (m, g, e, n), `embeddings` has shape (g, n, 3).
+
+    All other arrays have shape (m, g, e). `noise` is the share of scenarios in no cluster. `stability` is the agreement
+    with clusters of random parts of the scenarios, NaN for a single group. `agreement` is the adjusted mutual
+    information of clusters and outcomes, NaN if all scenarios end in the same way. `explained` maps each metric to the
+    share of the variance of its scores that the clusters explain, NaN if the scores do not vary.
     """
 
     rows: IntArray
@@ -55,7 +64,10 @@ class SettingsMap:
 
 @dataclass(frozen=True, eq=False)
 class Observed:
-    """What happened in scenarios, shape (n,) each: `outcome` as a number, `outcome_names`, and `scores` by metric."""
+    """Outcomes and scores of n scenarios.
+
+    All arrays have shape (n,). `outcome` has indices into `outcome_names`. `scores` maps each metric to its scores.
+    """
 
     ids: IntArray
     outcome: IntArray
@@ -64,7 +76,7 @@ class Observed:
 
     @classmethod
     def from_study(cls, study: StudyFile) -> Observed:
-        """Read what happened in the scenarios that ran."""
+        """Read the outcomes and scores of all scenarios of a study that ran."""
         other = study.meta.others.index(study.primary_other())
         texts = {scenario: digest.outcomes[other].text for scenario, digest in study.iter_digests(())}
         names = sorted(set(texts.values()))
@@ -73,7 +85,7 @@ class Observed:
         return cls(np.array(list(texts), dtype=np.int64), outcome, tuple(names), scores)
 
     def select(self, ids: IntArray) -> Observed:
-        """Return what happened in some of the scenarios."""
+        """Return the outcomes and scores of the scenarios `ids`, in this order."""
         row_of = {scenario: row for row, scenario in enumerate(self.ids.tolist())}
         rows = np.array([row_of[scenario] for scenario in ids.tolist()], dtype=np.int64)
         scores = {name: values[rows] for name, values in self.scores.items()}
@@ -81,7 +93,10 @@ class Observed:
 
 
 def usual_min_samples(n_scenarios: int) -> tuple[int, ...]:
-    """Return the values of min_samples to show: 3, the automatic one, and twice as many."""
+    """Return the values of min_samples for a settings map, rising.
+
+    These are 3, the automatic value (``ln(n)``, rounded up and at least 3), and twice the automatic value.
+    """
     usual = max(3, math.ceil(math.log(max(n_scenarios, 2))))
     return tuple(sorted({3, usual, 2 * usual}))
 
@@ -89,15 +104,16 @@ def usual_min_samples(n_scenarios: int) -> tuple[int, ...]:
 def map_settings(
     study: StudyFile, analysis: Analysis, observed: Observed, on_gamma: Callable[[int], None] | None = None
 ) -> SettingsMap:
-    """Cluster the scenarios of an analysis with every setting of a grid, by its stored distances.
+    """Cluster the scenarios of an analysis with each setting of a grid, from the stored distances.
 
-    The clusters are those that `analyze` finds with the same settings; of a sample, those are approximate, and a
-    neighbourhood needs fewer scenarios to be dense, in proportion. `on_gamma` gets the number of kernels done.
+    The clusters are the same as `analyze` finds with the same settings. For a random sample of the scenarios they are
+    approximate: min_samples is reduced in proportion. `on_gamma` is called with the number of values of gamma done so
+    far.
     """
     distances, rows = _sampled_distances(study, analysis)
     order = canonical_order(distances)
     scaled = distances[np.ix_(order, order)] / (analysis.clustering.scale or 1.0)
-    # Landmarks are clustered by themselves, so none is left out then.
+    # With landmarks, `analyze` clusters only the landmarks, and all of them are on the map.
     has_landmarks = analysis.embedding_error is not None
     share = 1.0 if has_landmarks else len(rows) / len(analysis.ids)
     neighbours = usual_min_samples(len(rows) if has_landmarks else len(analysis.ids))
@@ -133,7 +149,10 @@ def map_settings(
 
 
 def _sampled_distances(study: StudyFile, analysis: Analysis) -> tuple[FloatArray, IntArray]:
-    """Return the distances between at most `MAX_MAPPED` scenarios of an analysis, and their rows in it."""
+    """Return the distances between at most `MAX_MAPPED` scenarios of an analysis, and their rows in the analysis.
+
+    If the analysis has landmarks, these scenarios are the landmarks.
+    """
     if analysis.embedding_error is not None:
         return read_landmark_distances(study, analysis.by), np.asarray(analysis.clustering.landmarks)
     rows = np.arange(len(analysis.ids))
@@ -143,7 +162,11 @@ def _sampled_distances(study: StudyFile, analysis: Analysis) -> tuple[FloatArray
 
 
 class _Cells:
-    """Cells of the map: for each, the clusters found with one setting, and the scores of these clusters by name."""
+    """Clusters and scores for single settings of the map; each setting is a cell of the map.
+
+    `scaled`, shape (n, n), are distances divided by their scale. `observed` are outcomes and scores of the same
+    scenarios. `share` is the share of the analysed scenarios that are in the sample.
+    """
 
     def __init__(self, scaled: FloatArray, observed: Observed, share: float) -> None:
         self._observed, self._share = observed, share
@@ -156,11 +179,11 @@ class _Cells:
         return [_STABILITY, _AGREEMENT, *(_EXPLAINED + name for name in self._observed.scores)]
 
     def cluster(self, embedding: FloatArray, eps: float, min_samples: int) -> IntArray:
-        """Cluster with one setting."""
+        """Return the clusters with one setting, shape (n,), from the coordinates of the scenarios in kernel space."""
         return cluster_by_density(embedding, eps, self._sampled_min_samples(min_samples), "dbscan")
 
     def score(self, labels: IntArray, gamma: float, eps: float, min_samples: int) -> dict[str, float]:
-        """Return the scores of the clusters of one setting."""
+        """Return the scores of the clusters of one setting, by name; a single group has no stability."""
         # Many settings find the same clusters.
         key = labels.tobytes()
         if key not in self._scored:
@@ -186,5 +209,5 @@ class _Cells:
         return {_AGREEMENT: agreement, **explained}
 
     def _sampled_min_samples(self, min_samples: int) -> int:
-        """In a sample, fewer scenarios make a neighbourhood dense."""
+        """Return `min_samples` for the sample: reduced in proportion, since a sample is less dense."""
         return max(min(3, min_samples), round(min_samples * self._share))

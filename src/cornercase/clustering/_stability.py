@@ -1,4 +1,4 @@
-"""Stability of clusters: whether random parts of the scenarios give the same clusters."""
+"""Stability of clusters: agreement with the clusters that are found in random parts of the scenarios."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ RESAMPLED_SHARE: Final = 0.8
 
 
 class StabilityScorer:
-    """Scores the stability of clusters by clustering ten random parts of 80 % of the scenarios.
+    """Scorer of the stability of clusters, which clusters ten random parts of 80 % of the scenarios.
 
     Each part has its own kernel space and at most `max_part_size` scenarios. `distances`, shape (n, n), are divided by
-    their scale. `order`, shape (n,), is an order of the scenarios that depends only on the distances. U. von Luxburg,
-    "Clustering stability: an overview", 2010.
+    their scale. `order`, shape (n,), is an order of the scenarios that depends only on the distances. Source: U. von
+    Luxburg, "Clustering stability: an overview", 2010.
     """
 
     def __init__(
@@ -36,13 +36,16 @@ class StabilityScorer:
         rng = np.random.default_rng(0)
         self._parts = [np.sort(rng.choice(order, count, replace=False)) for _ in range(N_RESAMPLES)]
         # A part has fewer scenarios, so fewer neighbours make a neighbourhood dense.
-        self._thinned = count / len(order)
+        self._part_share = count / len(order)
         self._distances, self._method = distances, method
         self._spaces: dict[tuple[float, int, int], FloatArray] = {}
 
     def mean_rand_index(self, candidate: Candidate, labels: IntArray) -> float:
-        """Return the mean adjusted Rand index, -1 to 1, of clusters with those found in the random parts."""
-        min_samples = max(min(3, candidate.min_samples), round(candidate.min_samples * self._thinned))
+        """Return the mean adjusted Rand index, -1 to 1, of a candidate's clusters with the clusters of the parts.
+
+        `candidate` has the settings, `labels` are the clusters that were found with these settings.
+        """
+        min_samples = max(min(3, candidate.min_samples), round(candidate.min_samples * self._part_share))
         scores = []
         for k, part in enumerate(self._parts):
             key = (candidate.gamma, candidate.n_components, k)
@@ -55,9 +58,9 @@ class StabilityScorer:
 
 
 def _adjusted_rand_index(labels_a: IntArray, labels_b: IntArray) -> float:
-    """Adjusted Rand index of two labellings with values from -1 up.
+    """Return the adjusted Rand index of two labellings with values from -1 up.
 
-    The checks of scikit-learn's function take 30 times as long.
+    The function of scikit-learn takes 30 times as long, because of its checks.
     """
     width = int(labels_b.max()) + 2
     shared = np.bincount((labels_a + 1) * width + labels_b + 1, minlength=(int(labels_a.max()) + 2) * width).reshape(

@@ -1,4 +1,4 @@
-"""Analysis: the clusters of a study's scenarios by one aspect, as stored and read back."""
+"""Analyses of a study: clusters of its scenarios by one aspect (what they are compared by), stored and read back."""
 
 from __future__ import annotations
 
@@ -38,18 +38,18 @@ class Analysis:
     unit : str
         Unit of the distances; ``"1"`` for none.
     window : float or None
-        Largest difference in time, in s, of two instants that were matched; None for any.
+        Largest difference in time, in s, of two instants that Dynamic Time Warping may match; None for any difference.
     ids : ndarray of int64, shape (n,)
-        Scenarios.
+        Ids of the scenarios.
     clustering : Clustering
-        Their clusters, in the order of `ids`.
+        Clusters of the scenarios, in the order of `ids`.
     fitted_ids : ndarray of int64, shape (m,)
-        Ids of the scenarios in which the clusters were found; the others were assigned later.
+        Ids of the scenarios in which the clusters were found; other scenarios were assigned to the clusters later.
     profiles : tuple of Profile
         What the scenarios of each cluster have in common, noise last; empty in a study of an early version.
     fact_agreement : mapping of str to float
-        Adjusted mutual information of the clusters and facts about the scenarios, by fact; empty in a study of an early
-        version.
+        Adjusted mutual information of the clusters and facts about the scenarios, by name of the fact, such as
+        ``"collision"``; empty in a study of an early version.
     stride : int
         Every `stride`-th instant was compared.
     embedding_error : float or None
@@ -79,7 +79,7 @@ class Analysis:
 
     @property
     def labels(self) -> IntArray:
-        """Cluster of each scenario, shape (n,); the largest is 0, -1 is noise."""
+        """Number of the cluster of each scenario, shape (n,): 0 is the largest cluster, -1 is noise."""
         return self.clustering.labels
 
     @property
@@ -89,17 +89,17 @@ class Analysis:
         return [int(count) for count in counts]
 
     def rows_of(self, scenario_ids: IntArray | list[int]) -> IntArray:
-        """Return the rows of some scenarios in `ids`.
+        """Return the positions of some scenarios in `ids`.
 
         Parameters
         ----------
         scenario_ids : ndarray of int64 or list of int, shape (m,)
-            Ids; those that were not analysed are left out.
+            Ids of scenarios; scenarios that were not analysed are left out.
 
         Returns
         -------
         ndarray of int64, shape (k,)
-            Rows, in the order of the ids.
+            Positions, in the order of `scenario_ids`.
         """
         row_of = {scenario: row for row, scenario in enumerate(self.ids.tolist())}
         return np.array([row_of[int(i)] for i in scenario_ids if int(i) in row_of], dtype=np.int64)
@@ -110,9 +110,9 @@ class Analysis:
         Returns
         -------
         DataFrame
-            One row per cluster, indexed by its number, -1 for noise: its ``name``, its ``size``, the number of
-            ``collisions``, its ``example`` (the id of its medoid; empty if it has no name), and for each metric the
-            median score, ``median …``.
+            One row per cluster; the index is the number of the cluster, -1 for noise. The columns are ``name``,
+            ``size``, ``collisions`` (number of scenarios with a collision), ``example`` (id of the medoid; empty if the
+            cluster has no name), and for each metric ``median …``, the median score.
 
         See Also
         --------
@@ -133,7 +133,7 @@ class Analysis:
         return pd.DataFrame(columns).set_index(clusters)
 
     def _repr_html_(self) -> str:
-        """HTML table of the clusters, for notebooks."""
+        """Return an HTML table of the clusters, for notebooks."""
         return render_html_table(repr(self), self.table())
 
     def __repr__(self) -> str:
@@ -150,7 +150,8 @@ def analysis_to_storage(
 ) -> tuple[dict[str, npt.ArrayLike], dict[str, Any]]:
     """Convert an analysis to the arrays and the info that `StudyFile.save_analysis` stores.
 
-    `dtw_distances` are between all scenarios or between the landmarks, `distances` between all scenarios.
+    `dtw_distances` are the distances by Dynamic Time Warping between all scenarios or between the landmarks.
+    `distances` are the distances between all scenarios.
     """
     clustering = analysis.clustering
     arrays: dict[str, npt.ArrayLike] = {"ids": analysis.ids, "distances": dtw_distances}
@@ -191,14 +192,14 @@ def read_analysis(study: StudyFile | Path | str, by: str) -> Analysis:
     Parameters
     ----------
     study : Study, StudyFile or path
-        Analysed before.
+        Study that was analysed before.
     by : str
-        Aspect.
+        Aspect: one of `cornercase.clustering.ASPECTS`, or the name of a metric.
 
     Returns
     -------
     Analysis
-        As `analyze` returned it.
+        The same as `analyze` returned.
 
     Raises
     ------
@@ -235,7 +236,7 @@ def _read_analysis(study: StudyFile, by: str) -> Analysis:
             embedding.ndim == 2 and len(embedding) == n and embedding.dtype.kind == "f", "an unsuitable embedding"
         )
         window = None if info["window"] is None else float(info["window"])
-        tells = {str(fact): float(mutual) for fact, mutual in info["tells"].items()}
+        fact_agreement = {str(fact): float(mutual) for fact, mutual in info["tells"].items()}
         clustering, profiles = _clustering_from_storage(arrays, info), _profiles_from_storage(info)
         fitted = np.array([int(i) for i in info["fitted"]], dtype=np.int64)
         clusters, sizes = np.unique(labels, return_counts=True)
@@ -250,11 +251,13 @@ def _read_analysis(study: StudyFile, by: str) -> Analysis:
         stride, embedding_error = int(info.get("every", 1)), info.get("inexact")
         require_value(stride >= 1, "a stride below 1")
         embedding_error = None if embedding_error is None else float(embedding_error)
-        analysis = Analysis(by, info["unit"], window, ids, clustering, fitted, profiles, tells, stride, embedding_error)
+        analysis = Analysis(
+            by, info["unit"], window, ids, clustering, fitted, profiles, fact_agreement, stride, embedding_error
+        )
         threshold = info.get("critical_threshold", study.meta.critical)
-    if not tells or threshold == study.critical:
+    if not fact_agreement or threshold == study.critical:
         return analysis
-    facts = {fact: mutual for fact, mutual in tells.items() if fact != "critical"}
+    facts = {fact: mutual for fact, mutual in fact_agreement.items() if fact != "critical"}
     return replace(analysis, fact_agreement=facts | mutual_information_with_critical(study, ids, labels))
 
 
@@ -289,12 +292,12 @@ def read_analyses(study: StudyFile | Path | str) -> dict[str, Analysis]:
     Parameters
     ----------
     study : Study, StudyFile or path
-        Analysed before.
+        Study that was analysed before.
 
     Returns
     -------
     dict of str to Analysis
-        By aspect: the ego's trajectory first, the metrics last.
+        Analyses by aspect: the ego's trajectory first, the metrics last.
 
     Examples
     --------
@@ -312,9 +315,9 @@ def read_distances(study: StudyFile | Path | str, by: str) -> Distances:
     Parameters
     ----------
     study : Study, StudyFile or path
-        Analysed before.
+        Study that was analysed before.
     by : str
-        Aspect.
+        Aspect: one of `cornercase.clustering.ASPECTS`, or the name of a metric.
 
     Returns
     -------
@@ -358,7 +361,10 @@ def _read_distances(study: StudyFile, by: str) -> Distances:
 
 
 def read_landmark_distances(study: StudyFile, by: str) -> FloatArray:
-    """Read the distances between the landmarks of an analysis, shape (m, m)."""
+    """Read the distances between the landmarks of an analysis, shape (m, m).
+
+    Landmarks are random scenarios with which all other scenarios were compared.
+    """
     arrays, _ = study.read_analysis(by, "landmarks", "between")
     distances: FloatArray = arrays["between"]
     with reraise_as_damage(study.path):

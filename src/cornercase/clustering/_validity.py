@@ -1,4 +1,4 @@
-"""Internal validity of clusters, computed on the distances alone."""
+"""Validity of clusters by DBCV and silhouette, computed from the distances alone."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ _MIN_DISTANCE = 1e-5
 
 
 class ValidityScorer:
-    """Scores labellings of scenarios by DBCV and silhouette, on a subset of the scenarios; scores are cached."""
+    """Scorer of clusters by DBCV and silhouette on a sample of the scenarios; scores are cached."""
 
     def __init__(self, distances: FloatArray, sample: IntArray) -> None:
-        self._some = sample
+        self._sample = sample
         self._distances = distances[np.ix_(sample, sample)]
         self._known: dict[bytes, tuple[float, float]] = {}
 
     def dbcv_and_silhouette(self, labels: IntArray) -> tuple[float, float]:
-        """Return DBCV and silhouette of labels, -1 to 1 each; a scenario in noise contributes 0.
+        """Return DBCV and silhouette of the clusters `labels`, -1 to 1 each; a scenario in noise contributes 0.
 
-        Both are -1 if a cluster has fewer than three scenarios.
+        Both are -1 if there is only one cluster, or if a cluster has fewer than three scenarios.
         """
-        labels = labels[self._some]
+        labels = labels[self._sample]
         key = labels.tobytes()
         if key not in self._known:
             self._known[key] = self._compute(labels)
@@ -41,10 +41,10 @@ class ValidityScorer:
 
 
 def dbcv(distances: FloatArray, labels: IntArray, *, dimensions: float = 3.0) -> float:
-    """Density-based clustering validation index (DBCV), -1 to 1, higher is better; noise contributes 0.
+    """Return the density-based clustering validation index (DBCV), -1 to 1, higher is better; noise contributes 0.
 
-    `labels` has two or more clusters of three or more scenarios. Definitions 1 to 8 of Moulavi et al., "Density-based
-    clustering validation", 2014. `dimensions` is the exponent of the all-points core distance.
+    `labels` has two or more clusters of three or more scenarios. `dimensions` is the exponent of the all-points core
+    distance. Source: definitions 1 to 8 of Moulavi et al., "Density-based clustering validation", 2014.
     """
     positive = distances[distances > 0]
     distances = distances / np.median(positive) if len(positive) else distances

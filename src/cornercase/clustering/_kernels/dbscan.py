@@ -1,4 +1,4 @@
-"""Compiled DBSCAN; for some hundred points faster than the input checks and search tree of a library."""
+"""Compiled DBSCAN, which for some hundred points is faster than a library with input checks and a search tree."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"

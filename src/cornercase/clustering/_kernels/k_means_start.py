@@ -1,6 +1,6 @@
 """Compiled choice of initial centres for k-means, far from each other.
 
-Distances of all scenarios to all centres are not needed.
+Distances to centres that are certainly too far away are not computed.
 """
 
 # Compiled functions have no static types.
@@ -21,18 +21,19 @@ _BLOCK_SIZE = 128
 
 @kernel(error_model="numpy")
 def choose_centers(points, cells, first, random_numbers):
-    """Return the indices of k centres by greedy k-means++; `first` is the first centre.
+    """Return the indices of k points that are initial centres, by greedy k-means++; `first` is the index of the first.
 
-    `points` have shape (n, stages, AXES); `cells` are made of them. `random_numbers`, shape (k - 1, trials), are in
-    [0, 1). Each of them draws a candidate, with a probability in proportion to the squared distance to the nearest
-    centre. The candidate that lowers the sum of these squared distances most becomes the next centre, the first if
-    tied.
+    `points` have shape (n, stages, AXES): coordinates in groups of `AXES_PER_STAGE` axes. `cells` are the cells that
+    `make_cells` makes of these points. `random_numbers`, shape (k - 1, trials), are in [0, 1): each row chooses the
+    next centre. Each number draws a candidate, with a probability in proportion to the squared distance to the nearest
+    centre. The candidate that lowers the sum of these squared distances most becomes the next centre. If candidates are
+    tied, the first of them is chosen.
     """
     n, k = len(points), len(random_numbers) + 1
     n_blocks = -(-n // _BLOCK_SIZE)
     chosen = np.empty(k, dtype=np.int64)
     chosen[0] = first
-    # Those of the cells' members, 0 for padding, so that nothing is nearer.
+    # Squared distances of the cells' members to their nearest centres; 0 for padding, so that no centre is nearer.
     squares = np.zeros((len(cells.indices), CELL_SIZE))
     squares_by_point, block_sums, reach = np.empty(n), np.empty(n_blocks), np.empty(len(cells.indices))
     to_centers, to_members = np.empty(len(cells.indices)), np.empty(CELL_SIZE)
@@ -80,7 +81,7 @@ def choose_centers(points, cells, first, random_numbers):
 
 @kernel(error_model="numpy", _nrt=False)
 def _draw(target, squares, block_sums):
-    """Return the first point at which the cumulative sum of squared distances reaches `target`."""
+    """Return the index of the first point at which the cumulative sum of squared distances reaches `target`."""
     last, total = len(squares) - 1, 0.0
     for block in range(len(block_sums)):
         if total + block_sums[block] < target:

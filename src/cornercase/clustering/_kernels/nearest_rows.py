@@ -1,4 +1,4 @@
-"""Compiled search for the nearest points, for points with many axes whose first ones matter most."""
+"""Compiled search for the nearest points, for points with many axes if the first axes vary most."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -15,9 +15,10 @@ from cornercase.clustering._cells import CELL_SIZE, MARGIN, fill_squares_to_cent
 
 @kernel(error_model="numpy")
 def fill_nearest_rows(columns, cells, result):
-    """Write the indices of the nearest rows of each column, the nearest first, to `result`, shape (m, k).
+    """Write the indices of the k rows nearest to each column, the nearest first, to `result`, shape (m, k).
 
-    `columns` have shape (m, stages, AXES). `cells` are made of the rows, at least k.
+    Rows and columns are points. `columns` have shape (m, stages, AXES): coordinates in groups of `AXES_PER_STAGE` axes.
+    `cells` are the cells that `make_cells` makes of the rows; there are at least k rows.
     """
     n_nearest, n_cells = result.shape[1], len(cells.indices)
     to_centers, to_members, bounds = np.empty(n_cells), np.empty(CELL_SIZE), np.empty(CELL_SIZE)

@@ -12,10 +12,11 @@ from cornercase._common.numba.kernel import kernel
 
 @kernel(error_model="numpy")
 def fill_nearest_distances(rows, columns, nearest_rows, choices, result):
-    """Write the squared distance of each column to the nearest row in each choice to `result`, shape (draws, m).
+    """Write the squared distance of each column to the nearest chosen row to `result`, shape (draws, m).
 
-    `rows`, shape (n, p), and `columns`, shape (m, p), are coordinates. `nearest_rows`, shape (m, k), are the nearest
-    rows of each column, the nearest first. `choices`, shape (draws, size), are indices of rows.
+    Rows and columns are points: `rows`, shape (n, p), and `columns`, shape (m, p), are their coordinates. Each row of
+    `choices`, shape (draws, size), has the indices of chosen rows. `nearest_rows`, shape (m, k), are the indices of the
+    rows nearest to each column, the nearest first.
     """
     is_chosen = np.zeros(len(rows), dtype=np.bool_)
     for draw in range(len(choices)):
@@ -41,7 +42,10 @@ def fill_nearest_distances(rows, columns, nearest_rows, choices, result):
 
 @kernel(error_model="numpy", _nrt=False)
 def _squared_distance(row, column, bound):
-    """Return the squared distance of two points; if it is at least `bound`, any number of at least `bound`."""
+    """Return the squared distance of two points.
+
+    If the distance is at least `bound`, the result is any number of at least `bound`.
+    """
     total = 0.0
     for axis in range(len(row)):
         difference = row[axis] - column[axis]

@@ -12,9 +12,9 @@ from cornercase._common.numba.kernel import kernel
 
 @kernel(error_model="numpy")
 def fill_spanning_tree(distances, ends, lengths):
-    """Write the edges of the minimum spanning tree to `ends`, shape (2, n - 1), and `lengths`.
+    """Write the edges of a minimum spanning tree to `ends`, shape (2, n - 1), and `lengths`, shape (n - 1,).
 
-    `distances`, shape (n, n), are symmetric.
+    `ends` are the two points of each edge. `distances`, shape (n, n), are symmetric.
     """
     count = len(distances)
     nearest, reach = np.zeros(count, dtype=np.int64), distances[0].copy()

@@ -1,1 +1,1 @@
-"""Names of clusters, built from predicates that hold for the scenarios of a cluster."""
+"""Names of clusters, built from predicates (short statements) that are true of the scenarios of a cluster."""

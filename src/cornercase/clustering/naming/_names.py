@@ -28,25 +28,25 @@ _MAX_ENDINGS: Final = 3
 _MAX_QUALIFIERS: Final = 3
 # Several endings that cover this mean share of the other clusters do not identify a cluster.
 _UNINFORMATIVE_SHARE: Final = 0.9
-# A name that holds for this mean (largest) share of other clusters is made longer, if that removes `_MIN_IMPROVEMENT`
-# of it.
+# A name is made longer if it holds for more than this mean share of the other clusters, or for more than this share of
+# any other cluster. The longer name must lower the mean share by the fraction `_MIN_IMPROVEMENT`.
 _AMBIGUOUS_SHARES: Final = (0.25, 0.5)
 _MIN_IMPROVEMENT: Final = 0.2
-# Handicap of predicates by rank: words without numbers, features, parameters.
+# Handicap of a predicate by its rank: 0 for words without numbers, 1 for bounds of features, 2 for parameters.
 _RANK_HANDICAP: Final = (0.0, 0.05, 0.1)
 _ENDING_ADVERBS: Final = ("at low speed", "at medium speed", "at high speed", "closely", "clear")
 
 
 @dataclass(frozen=True, eq=False)
 class ClusterName:
-    """Name of a cluster: how its scenarios end, and further predicates that hold for these scenarios."""
+    """Name of a cluster: a predicate about how its scenarios end, and further predicates that hold for them."""
 
     ending: Predicate
     qualifiers: tuple[Predicate, ...] = ()
 
     @property
     def text(self) -> str:
-        """The name as text."""
+        """Name as text: all predicates, separated by commas."""
         return ", ".join([self.ending.text, *(qualifier.text for qualifier in self.qualifiers)])
 
     @property
@@ -58,7 +58,7 @@ class ClusterName:
     def with_qualifier(self, predicate: Predicate) -> ClusterName:
         """Return the name with one more predicate.
 
-        A bound replaces an existing bound of the same quantity on the same side.
+        A bound of a quantity replaces a bound on the same side of the same quantity.
         """
         others = tuple(
             qualifier
@@ -71,18 +71,18 @@ class ClusterName:
 def name_clusters(facts: NamingFacts, labels: IntArray, examples: Sequence[int]) -> dict[int, ClusterName]:
     """Name each cluster by what is true of at least 95 % of its scenarios. No two clusters have the same name.
 
-    A name starts with how the scenarios end, or with the two or three ways in which they end. Predicates follow that
-    separate the cluster from clusters with the same name. If the name is true of many scenarios of other clusters,
-    predicates separate it from all clusters. Fixed words such as ``"clear"`` are tried first, then bounds of features,
-    then parts of parameter ranges. `examples` has one scenario per cluster. The scenario's number completes the name if
-    nothing else separates the cluster.
+    A name starts with how the scenarios end, or with the two or three ways in which they end. Then predicates (short
+    statements) separate the cluster from clusters with the same name. If the name is true of many scenarios of other
+    clusters, predicates separate the cluster from all clusters. Fixed words such as ``"clear"`` are tried first, then
+    bounds of features, then parts of parameter ranges. `examples` has the number of one scenario per cluster, which
+    completes the name if nothing else separates the cluster.
     """
     endings_by_scenario = [describe_ending(outcome) for outcome in facts.outcomes]
     fixed = predicates_with_fixed_bounds(facts)
     members = {label: labels == label for label in np.unique(labels[labels >= 0]).tolist()}
     names = {
         label: _name_by_ending(
-            facts, endings_by_scenario, fixed, own, [members[outcome] for outcome in members if outcome != label]
+            facts, endings_by_scenario, fixed, own, [members[other] for other in members if other != label]
         )
         for label, own in members.items()
     }
@@ -109,7 +109,10 @@ def _name_by_ending(
     is_member: BoolArray,
     other_clusters: Sequence[BoolArray],
 ) -> ClusterName:
-    """Name a cluster by the fewest endings that cover it, each as specific as possible."""
+    """Name a cluster by the fewest endings that cover its scenarios, each as specific as possible.
+
+    `endings` are the descriptions of how each scenario ended, the most specific first.
+    """
     ego, needed = quote_name(facts.outcomes[0].ego), _min_members(is_member)
     members = np.flatnonzero(is_member).tolist()
     counts = Counter(endings[k][-1] for k in members)

@@ -1,4 +1,4 @@
-"""Short predicates about scenarios, and the scenarios they hold for."""
+"""Predicates: short statements about scenarios, each with the scenarios for which it is true."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ _SMALL_GAP, _LARGE_GAP = 1.5, 3.0
 _NO_BRAKING, _SOFT_BRAKING, _HARD_BRAKING = 0.5, 3.0, 5.0
 _TURN_ANGLE, _STRAIGHT_ANGLE, _LATERAL_SHIFT = math.pi / 4, math.pi / 9, 1.5
 
-# Smallest bound of a feature in a name, in m, s, m/s or m/s²: smaller ones are not visible.
+# Smallest bound of a feature in a name, in m, s, m/s or m/s²; smaller values are too small to see.
 _SMALLEST_BOUND: Final = 0.1
 FAULT: Final = "fault"
-"""Quantity of predicates about whose fault a collision is."""
+"""Value of `Predicate.quantity` for predicates that say who is at fault for a collision."""
 
 # Digits that a bound may have in a name.
 _BOUND_DIGITS: Final = (1, 2, 3)
@@ -32,10 +32,10 @@ _BOUND_DIGITS: Final = (1, 2, 3)
 
 @dataclass(frozen=True, eq=False)
 class Predicate:
-    """A predicate, and the mask of the scenarios for which it holds, shape (n,).
+    """Short statement about scenarios, and the mask of the n scenarios for which it holds, shape (n,).
 
-    `quantity` names the quantity that a bound limits, and the side of the bound. It is empty for predicates without a
-    bound. A name has only one predicate of each quantity.
+    If the statement is a bound, `quantity` names the quantity and the side of the bound; otherwise it is mostly empty.
+    The name of a cluster has at most one predicate of each quantity.
     """
 
     text: str
@@ -45,7 +45,10 @@ class Predicate:
 
 @dataclass(frozen=True, eq=False)
 class NamingFacts:
-    """All facts about n scenarios from which names of clusters are made; `features` has a column (n,) per feature."""
+    """Facts about n scenarios from which names of clusters are made.
+
+    `features` maps each feature to an array of shape (n,). `values` are the parameter values of each scenario.
+    """
 
     outcomes: Sequence[Outcome]
     features: Mapping[str, FloatArray]
@@ -60,13 +63,13 @@ class NamingFacts:
         space: ParameterSpace,
         values: Sequence[Mapping[str, Value]],
     ) -> NamingFacts:
-        """Collect the facts; features that are given per scenario become one column per feature."""
+        """Collect the facts. `features` maps names of features to values, for each scenario."""
         columns = {name: np.array([row[name] for row in features], dtype=np.float64) for name in features[0]}
         return cls(outcomes, columns, space, values)
 
 
 def describe_ending(outcome: Outcome) -> tuple[str, ...]:
-    """Describe how a scenario ended for the ego: predicates that are all true, the most specific first."""
+    """Describe how a scenario ended for the ego: several true statements, the most specific first."""
     still = ("stands all the time",) if outcome.exists and not outcome.moves else ()
     return still + (_describe_impact(outcome.impacts[0]) if outcome.impacts else _describe_encounter(outcome))
 
@@ -145,7 +148,7 @@ def predicates_with_fixed_bounds(facts: NamingFacts) -> list[Predicate]:
 
 
 def _predicates_of_fault(outcomes: Sequence[Outcome]) -> list[Predicate]:
-    """Return predicates about whose fault the ego's first collision is."""
+    """Return predicates that say who is at fault for the ego's first collision."""
     texts = [
         outcome.fault.describe(outcome.ego, outcome.impacts[0].entity)
         if outcome.fault is not None and outcome.fault.who != "undecided"
@@ -171,10 +174,10 @@ def _describe_other_entities(outcome: Outcome) -> Iterator[str]:
 def predicates_with_fitted_bounds(
     facts: NamingFacts, is_member: BoolArray, min_members: int, is_rival: BoolArray
 ) -> list[tuple[int, Predicate]]:
-    """Return predicates that separate the members of a cluster from rivals, with a rank.
+    """Return pairs (rank, predicate) of predicates that separate the members of a cluster from rivals.
 
-    A predicate bounds a feature (rank 1), or selects a part of a parameter's range (rank 2). Each holds for at least
-    `min_members` of the members.
+    Rivals are scenarios of clusters with a similar name. A predicate bounds a feature (rank 1), or selects a part of a
+    parameter's range (rank 2). Bounds hold for at least `min_members` of the members.
     """
     other = quote_name(facts.outcomes[0].encounter.entity)
     clauses = [
@@ -201,7 +204,10 @@ def predicates_with_fitted_bounds(
 
 
 def _describe_choice(parameter: Parameter, choice: str) -> str:
-    """Describe the choice of a parameter; of values that belong together, the first one identifies the choice."""
+    """Describe the choice of a parameter.
+
+    A choice of several values that are set together is described by the first value that differs in all choices.
+    """
     names, parts = parameter.name.split(", "), [choice_parts.split(", ") for choice_parts in parameter.choices]
     if len(names) > 1 and all(len(choice_parts) == len(names) for choice_parts in parts):
         for name, part, column in zip(names, choice.split(", "), zip(*parts, strict=True), strict=True):
@@ -219,7 +225,10 @@ def _fit_bounds(
     is_rival: BoolArray,
     smallest_bound: float = -math.inf,
 ) -> Iterator[Predicate]:
-    """Yield upper and lower bounds that hold for all members, or for exactly `min_members` of them."""
+    """Yield predicates that bound a quantity from above or below, between the members and the rivals of a cluster.
+
+    The bounds hold for all members, or for exactly `min_members` of the members.
+    """
     for sign, text in ((-1.0, texts[0]), (1.0, texts[1])):
         signed = sign * values
         own = np.sort(signed[is_member & np.isfinite(values)])
@@ -238,7 +247,7 @@ def _fit_bounds(
 
 
 def _shortest_number_between(low: float, high: float) -> str | None:
-    """Return the shortest number in [low, high) as text; None if it needs more than three digits."""
+    """Return the shortest number in [low, high) as text; None if three digits are not enough."""
     for digits in _BOUND_DIGITS:
         text = f"{(low + high) / 2.0:.{digits}g}"
         if low <= float(text) < high and "e" not in text:

@@ -22,20 +22,24 @@ class Profile:
     Attributes
     ----------
     cluster : int
-        -1 for noise.
+        Number of the cluster; -1 for noise.
     size : int
+        Number of scenarios.
     scores : dict of str to tuple of float
-        Lower quartile, median and upper quartile, by metric.
+        Lower quartile, median and upper quartile of the scores, by metric.
     outcomes : dict of str to int
-        Number of scenarios by ending: who collided, or who was first where the paths of ego and other cross.
+        Number of scenarios by ending: who collided, or who was first if the paths of ego and other entity cross.
     rules : tuple of Rule
-        By falling share of the cluster's scenarios; none for noise.
+        Parts of the parameter space in which the cluster prevails, by falling share of the cluster's scenarios; none
+        for noise.
     name : str
-        As ``"Ego yields to Pedestrian, closely"``; empty for noise, and in a study of an early version.
+        Name such as ``"Ego yields to Pedestrian, closely"``; empty for noise, and in a study of an early version.
     true_of, true_elsewhere : float
-        Share of its scenarios for which the name is true, and of all scenarios of other clusters; NaN without a name.
+        Share of the cluster's scenarios for which the name is true, and share of all scenarios of other clusters for
+        which it is true; NaN without a name.
     example : int or None
-        Id of the scenario with the smallest sum of distances to the others (medoid); None without a name.
+        Id of the scenario with the smallest sum of distances to the other scenarios of the cluster (medoid); None
+        without a name.
 
     Examples
     --------
@@ -63,7 +67,7 @@ class Profile:
 
     @property
     def label(self) -> str:
-        """Name of the cluster, with the number of collisions if only some of its scenarios end in one."""
+        """Name of the cluster, with the number of collisions if only some of its scenarios end in a collision."""
         if not self.name or self.collisions in (0, self.size):
             return self.name
         return f"{self.name}; {self.collisions} of {self.size} collide"
@@ -72,7 +76,7 @@ class Profile:
 def profile_clusters(
     study: StudyFile, labels: IntArray, facts: NamingFacts, distances: Distances
 ) -> tuple[Profile, ...]:
-    """Return the profile of each cluster, noise last; `distances` are those by which the scenarios were clustered."""
+    """Return the profile of each cluster, noise last, given the distances by which the scenarios were clustered."""
     ids = [row.id for row in study.finished_rows()]
     scores = {name: study.scores(name) for name in study.meta.metrics}
     clusters = sorted(np.unique(labels).tolist(), key=lambda label: (label < 0, label))

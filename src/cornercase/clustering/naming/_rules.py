@@ -19,8 +19,8 @@ _MAX_DEPTH: Final = 3
 _MIN_LEAF_SHARE: Final = 0.03
 _MIN_LEAF: Final = 3
 _N_FOLDS: Final = 10
-# Largest p-value of a rule. Folds share most of their scenarios, so labels of pure noise get a rule about ten times as
-# often as this.
+# Largest p-value of a rule. The folds of cross-validation share most of their scenarios, so labels of pure noise get a
+# rule about ten times as often as this p-value says.
 _MAX_P_VALUE: Final = 0.001
 
 _Bounds = dict[int, tuple[float, float]]
@@ -36,7 +36,7 @@ class Rule:
     Attributes
     ----------
     text : str
-        Bounds of the parameters, as ``"ego_start <= 45.2 m and pedestrian_wait > 6.1 s"``.
+        Bounds of the parameters, such as ``"ego_start <= 45.2 m and pedestrian_wait > 6.1 s"``.
     covers : float
         Share of the cluster's scenarios that lie in this part (recall).
     purity : float
@@ -58,11 +58,11 @@ class Rule:
 def find_rules(space: ParameterSpace, values: Sequence[Mapping[str, Value]], is_member: BoolArray) -> tuple[Rule, ...]:
     """Find the parts of the parameter space in which members of a cluster prevail, by a shallow decision tree.
 
-    Rules are judged by ten-fold cross-validation: each tenth of the scenarios is judged by rules found in the other
-    nine. Each of these rules counts for the rule of all scenarios that it overlaps most. A rule is returned only if
-    significantly more members lie in its part than by chance; labels of pure noise get a rule in about 1 of 100 cases.
-    Rules come by falling share of the members. If all scenarios are members, or no parameter separates them, there is a
-    single rule ``"everywhere"``.
+    Rules are judged by ten-fold cross-validation: each tenth of the scenarios is judged by rules that were found in the
+    other nine tenths. Each of these rules counts for the rule from all scenarios that it overlaps most. A rule is
+    returned only if its part has significantly more members than by chance; labels of pure noise get a rule in about 1
+    of 100 cases. Rules come by falling share of the members. If all scenarios are members, or no parameter separates
+    the members, there is a single rule ``"everywhere"``.
     """
     # Imported here, since opening an analysis does not need it.
     from scipy.stats import hypergeom
@@ -84,7 +84,10 @@ def find_rules(space: ParameterSpace, values: Sequence[Mapping[str, Value]], is_
 
 
 def _find_prevailing_regions(columns: FloatArray, is_member: BoolArray) -> list[_Region]:
-    """Find parts of the space, with bounds, in which the share of members is above average."""
+    """Find parts of the parameter space in which the share of members is above average.
+
+    Each part has a mask of its scenarios and the bounds of the parameters.
+    """
     from sklearn.tree import DecisionTreeClassifier
 
     if is_member.all() or not is_member.any():
@@ -100,7 +103,10 @@ def _find_prevailing_regions(columns: FloatArray, is_member: BoolArray) -> list[
 
 
 def _cross_validated_regions(columns: FloatArray, is_member: BoolArray, regions: Sequence[_Region]) -> IntArray:
-    """Index of each scenario's region by rules learned from the other folds, shape (n,); -1 outside all regions."""
+    """Return the index of the region of each scenario by cross-validation, shape (n,); -1 outside all regions.
+
+    The region of a scenario is found by rules that were learned without the scenarios of its fold.
+    """
     judged = np.full(len(is_member), -1)
     fold = _stratified_folds(is_member)
     for k in range(int(fold.max()) + 1):
@@ -117,7 +123,10 @@ def _cross_validated_regions(columns: FloatArray, is_member: BoolArray, regions:
 
 
 def _stratified_folds(is_member: BoolArray) -> IntArray:
-    """Fold of each scenario; the numbers of members in any two folds differ by at most one."""
+    """Return the number of the cross-validation fold of each scenario, shape (n,).
+
+    The numbers of members in any two folds differ by at most one.
+    """
     rng = np.random.default_rng(0)
     order = np.concatenate([rng.permutation(np.flatnonzero(is_member)), rng.permutation(np.flatnonzero(~is_member))])
     fold = np.empty(len(is_member), dtype=np.int64)
@@ -135,7 +144,10 @@ def _is_within_bounds(columns: FloatArray, bounds: _Bounds) -> BoolArray:
 def _encode_parameters(
     space: ParameterSpace, values: Sequence[Mapping[str, Value]]
 ) -> tuple[FloatArray, list[tuple[str, str, str]]]:
-    """Numeric columns for a decision tree; for each column, its parameter, unit and encoded choice."""
+    """Return numeric columns of parameter values for a decision tree, shape (n, columns).
+
+    The second result has the parameter, the unit and the encoded choice of each column.
+    """
     columns, names = [], []
     for parameter in space.parameters:
         if parameter.size == 1:
@@ -153,7 +165,10 @@ def _encode_parameters(
 def _collect_leaves(
     tree: Any, columns: FloatArray, is_member: BoolArray, node: int, is_inside: BoolArray, bounds: _Bounds
 ) -> list[_Region]:
-    """Leaves of the tree in which members prevail, with the bounds of each column; sibling leaves are merged."""
+    """Return the leaves of a decision tree in which members prevail, with the bounds of each column.
+
+    Two sibling leaves in which members prevail are merged.
+    """
     left, right = int(tree.children_left[node]), int(tree.children_right[node])
     if left < 0:
         prevails = is_member[is_inside].mean() >= 0.5 or is_member[is_inside].sum() >= 0.5 * is_member.sum()
