@@ -104,7 +104,7 @@ class EgoSpeed(Aspect):
 
 
 class EgoMotion(Aspect):
-    """Position and speed of the ego on one scale, in m: x, y, and the distance travelled in 3 s at this speed."""
+    """Position and speed of the ego on one scale: x, y, and the distance travelled in 3 s at this speed, in m."""
 
     name, unit = "ego-motion", "m"
 
@@ -149,7 +149,7 @@ class Bearing(Aspect):
 
 
 class EgoProgress(Aspect):
-    """Distance travelled by the ego along its own path, and time multiplied by 5 m/s, both in m.
+    """Distance travelled by the ego along its own path, and time scaled by 5 m/s, both in m.
 
     Matching different times has a cost per second, so waiting counts. The location of the path does not count.
     """

@@ -104,9 +104,9 @@ class EmbeddedDistances:
         return int(members[((points - points.mean(axis=0)) ** 2).sum(axis=1).argmin()])
 
     def distances_to_neighbour(self, rows: IntArray, number: int) -> FloatArray:
-        """Return the distance from each of some rows to its nearest neighbour with this number, counted from 1.
+        """Return the distance from each of the given rows to its nearest neighbour with the given number.
 
-        Number 0 is the row itself.
+        Number 1 is the nearest neighbour; number 0 is the row itself.
         """
         roots, _ = self._tree.query(self._rows[rows], k=[number + 1])
         return np.asarray(roots, dtype=np.float64)[:, 0] ** 2
