@@ -1,4 +1,4 @@
-"""Similarity of two scenarios: dynamic time warping."""
+"""Distances between scenarios by dynamic time warping (DTW) of their time series."""
 
 import lazy_loader as lazy
 

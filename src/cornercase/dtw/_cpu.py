@@ -59,7 +59,10 @@ class _SortedSeries:
 
 @dataclass(frozen=True)
 class _InterleavedBlock:
-    """Series of similar length, interleaved: ``values[(instant * dims + dim) * lanes + lane]``."""
+    """Series of similar length, interleaved: ``values[(instant * dims + dim) * lanes + lane]``.
+
+    `first` is the index of the first of these series in the order by length.
+    """
 
     first: int
     lengths: IntArray
@@ -77,7 +80,7 @@ def compute_distances_on_cpu(
     report_progress: Callable[[int], None],
     needed: BoolArray | None = None,
 ) -> Floats:
-    """Distances of validated series, shape (len(rows), len(columns)).
+    """Compute the distances of validated series, shape (len(rows), len(columns)).
 
     Without `columns`, the rows are compared with each other, and only one half is computed. `report_progress` gets the
     number of cells (pairs of instants) done since its last call, in the thread of the caller. `needed` marks the pairs
@@ -142,7 +145,7 @@ def _sort_by_length(series: Sequence[Floats], dtype: np.dtype[Any]) -> _SortedSe
 
 
 def _interleave_block(series: _SortedSeries, first: int, dims: int, lanes: int) -> _InterleavedBlock:
-    """Interleave up to `lanes` series. Unused places are filled with finite numbers, which are never read out."""
+    """Interleave up to `lanes` series. Unused lanes get finite numbers, and their results are dropped."""
     members = range(first, min(first + lanes, len(series.order)))
     block = np.zeros((series.lengths[members[-1]], dims, lanes), dtype=series.values.dtype)
     for lane, i in enumerate(members):
@@ -156,7 +159,7 @@ def _iter_tiles(
 ) -> Iterator[tuple[_InterleavedBlock, range]]:
     """Yield tiles (a block and a range of single series), the most expensive first.
 
-    If the comparison is `symmetric`, the range ends with the last series of the block.
+    If the comparison is `symmetric` (series with each other), the range ends with the last series of the block.
     """
     total = int(lengths.sum()) * sum(int(block.lengths.sum()) for block in blocks) // (2 if symmetric else 1)
     share = min(max(total // (16 * n_jobs), TILE_CELLS // 10), TILE_CELLS)
@@ -177,7 +180,7 @@ def _run_tiles(
     n_jobs: int,
     report_progress: Callable[[int], None],
 ) -> None:
-    """Run tiles on threads. An interrupt drops the tiles that wait, and waits for those that run."""
+    """Run tiles on threads. After an interrupt, waiting tiles are dropped and running tiles are finished."""
     if n_jobs == 1:
         for tile in tiles:
             report_progress(run(*tile))
@@ -207,8 +210,8 @@ def _local_cost(x, y, j, dims, squared, lanes):
     return root(total)
 
 
-# A row is stored after one column of infinity. Columns `lower` to `upper` are those of the lane with the widest band;
-# narrower bands are masked.
+# A row of the cost table is stored after one column of infinity. Columns `lower` to `upper` are in the band of the lane
+# with the widest band; narrower bands are masked.
 @_inline_kernel
 def _one_row(x, i, y, lower, upper, row, below, above, infinity, dims, squared, banded, lanes):
     x_a = broadcast_point(x, i * dims, dims)
@@ -257,7 +260,10 @@ def _four_rows(x, i, y, lower, upper, row, below, above, infinity, dims, squared
 
 @cache
 def _tile_kernel(dims: int, squared: bool, banded: bool, lanes: int) -> Callable[..., None]:
-    """Make the kernel for one kind of cost: it computes the distances of some single series to one block."""
+    """Make the kernel for one kind of local cost, one type, and a band or none.
+
+    The kernel computes the distances of some single series to one interleaved block of series.
+    """
 
     def tile(values, starts, lengths, block, block_lengths, selected, window, out):
         members = len(block_lengths)
@@ -299,7 +305,7 @@ def _tile_kernel(dims: int, squared: bool, banded: bool, lanes: int) -> Callable
 
 
 def get_compiled_kernel(dims: int, squared: bool, banded: bool, dtype: npt.DTypeLike) -> Callable[..., None]:
-    """Return the kernel for one kind of cost, compiled."""
+    """Return the compiled kernel for one kind of local cost, one type, and a band or none."""
     dtype = np.dtype(dtype)
     kernel = _tile_kernel(dims, squared, banded, simd.VECTOR_BYTES // dtype.itemsize)
     floats, integers = np.zeros(dims, dtype=dtype), np.zeros(1, dtype=np.int64)

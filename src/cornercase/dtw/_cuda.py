@@ -1,9 +1,9 @@
 """Dynamic time warping on an NVIDIA GPU: one pair of series per thread, four rows of the cost table at a time.
 
 Neighbouring threads have the same row series and neighbouring column series. The column series are interleaved, so a
-warp reads and writes consecutive numbers. The four rows are computed in registers; only the
-last of them is written to global memory, for the next four. The compiler contracts products and sums, so the last
-digits may differ from the CPU's.
+warp reads and writes consecutive numbers. The four rows are computed in registers; only the last of them is written to
+global memory, for the next four rows. The compiler contracts products and sums, so the last digits may differ from the
+CPU's digits.
 """
 
 # Compiled functions have no static types.
@@ -41,7 +41,7 @@ def compute_distances_on_gpu(
     dtype: npt.DTypeLike,
     report_progress: Callable[[int], None],
 ) -> Floats:
-    """Distances of validated series; parameters and result are those of the function for the CPU."""
+    """Compute the distances of validated series; parameters and result are as in `compute_distances_on_cpu`."""
     dtype = np.dtype(dtype)
     symmetric = columns is None
     partners = rows if columns is None else columns

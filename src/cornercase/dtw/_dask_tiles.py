@@ -1,4 +1,4 @@
-"""Distances computed by the workers of a Dask cluster, square by square."""
+"""DTW distances computed by the workers of a Dask cluster, in squares (blocks of the distance matrix)."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from cornercase.dtw._pairs import DtwSettings, Floats
 if TYPE_CHECKING:
     from distributed import Client, Future
 
-# Squares submitted per thread: enough that no thread waits, and few to store.
+# Squares submitted per thread: enough that no thread waits, but few, since their results need memory.
 _SQUARES_PER_THREAD: Final = 2
 
 # Retries of a square whose workers were lost.
@@ -40,9 +40,10 @@ _MIN_BANDS: Final = 12
 
 
 class ClusterTiles:
-    """Squares (blocks) of a distance matrix, computed by a Dask cluster; identical to local results to the last bit.
+    """Squares (blocks) of a distance matrix, computed by a Dask cluster; the same as local results to the last bit.
 
-    The series are sent once, in bands. A square needs two bands: for its rows and its columns.
+    The series are divided into bands. Each band is sent to the Dask cluster once. A square needs two bands: for its
+    rows and its columns.
     """
 
     def __init__(self, client: Client, settings: DtwSettings, bands: Sequence[Sequence[Floats]]) -> None:
@@ -52,7 +53,7 @@ class ClusterTiles:
     def iter_squares(self, squares: Iterable[tuple[int, int]]) -> Iterator[tuple[int, int, Floats]]:
         """Yield (row band, column band, distances) for pairs of bands, in the order of completion.
 
-        Raises `InputError` if the workers cannot compute distances, or the cluster is lost.
+        Raises `InputError` if the workers cannot compute distances, or the connection to the Dask cluster is lost.
         """
         from distributed.scheduler import KilledWorker
 
@@ -182,6 +183,9 @@ def compute_distances_on_cluster(
 
 
 def split_into_bands(size: int) -> list[range]:
-    """Split series into bands, so that squares are numerous but not too small."""
+    """Split `size` series into bands: ranges of indices.
+
+    The squares of a matrix that pairs of bands form are numerous, but not too small.
+    """
     side = min(max(-(-size // _MIN_BANDS), _SIDE_RANGE[0]), _SIDE_RANGE[1])
     return [range(first, min(first + side, size)) for first in range(0, size, side)]

@@ -49,11 +49,12 @@ def fill_matrix_file(
     report_progress: Callable[[int], None],
     client: Client | None = None,
 ) -> FloatMap:
-    """Compute the distances between validated series into a file; return a map onto it, shape (n, n).
+    """Compute the distances between validated series into a file; return a memmap of the file, shape (n, n).
 
-    `out` is the path of a new file, or a memmap onto an existing one. With `resume`, finished squares in the file are
-    not computed again. With a Dask `client`, the cluster computes the squares, and this process writes them. Raises
-    `InputError` if `out` does not fit, exists without `resume`, belongs to other series or settings, or lacks space.
+    `out` is the path of a new file, or a memmap of an existing file. With `resume`, finished squares (blocks) in the
+    file are not computed again. With a Dask `client`, the Dask cluster computes the squares, and this process writes
+    them. Raises `InputError` if `out` does not fit, exists without `resume`, belongs to other series or settings, or
+    lacks space.
     """
     size = len(series)
     path = Path(_path_of_memmap(out, size, settings.dtype) if isinstance(out, np.memmap) else out)
@@ -119,7 +120,7 @@ def _compute_missing_squares(
 
 
 def _matches_checksum(view: FloatMap, rows: range, columns: range, checksum: int) -> bool:
-    """Check that a square and its mirror image match a checksum."""
+    """Return True if a square (block of the matrix) and its mirror image match a checksum."""
     # Map each square separately, as for writing.
     memmap = np.memmap(str(view.filename), view.dtype, "r", view.offset, view.shape)
     square = memmap[rows.start : rows.stop, columns.start : columns.stop]
@@ -148,7 +149,7 @@ def _iter_squares(
 
 
 def _path_of_memmap(out: FloatMap, size: int, dtype: np.dtype[Any]) -> str:
-    """Return the path of the file under a memmap; InputError if the map cannot be filled."""
+    """Return the path of the file of a memmap; raise `InputError` if the matrix cannot be written to the memmap."""
     if out.shape != (size, size) or out.dtype != dtype:
         raise InputError(f"out is {out.dtype} of shape {out.shape}; give {dtype} of shape ({size}, {size}).")
     if out.filename is None or not isinstance(out.base, mmap.mmap) or not out.flags.c_contiguous:
@@ -190,7 +191,7 @@ def _allocate_disk_space(path: Path) -> None:
 
 
 def _header_size(path: Path) -> int:
-    """Size of the header of a NumPy file in bytes."""
+    """Return the size of the header of a NumPy file in bytes."""
     with path.open("rb") as file:
         try:
             version = _FORMAT.read_magic(file)
@@ -201,7 +202,10 @@ def _header_size(path: Path) -> int:
 
 
 def _open_matching_journal(journal: Path, fingerprint: str) -> dict[tuple[int, int], int]:
-    """Return the checksums of the finished squares by band indices; create the journal if there is none."""
+    """Return the checksums of the finished squares by row and column of squares.
+
+    The journal is created if there is none. Raises `InputError` if it belongs to other series or settings.
+    """
     if not journal.exists():
         journal.write_text(fingerprint + "\n", encoding="utf-8", newline="\n")
         return {}
@@ -215,8 +219,8 @@ def _open_matching_journal(journal: Path, fingerprint: str) -> dict[tuple[int, i
         journal.write_text(fingerprint + "\n", encoding="utf-8", newline="\n")
     if first != fingerprint:
         raise InputError(
-            f"{journal}: belongs to other series or settings; give the same ones again, or delete this file and the"
-            " matrix."
+            f"{journal}: belongs to other series or settings; give the same series and settings again, or delete this"
+            " file and the matrix."
         )
     checksums = {}
     for line in squares:

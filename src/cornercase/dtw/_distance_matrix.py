@@ -53,12 +53,13 @@ def distance_matrix(
     series : sequence of n array_like, shape (T_i,) or (T_i, k)
         Time series or trajectories of any lengths, all with the same number of dimensions k.
     local_cost : {"euclidean", "squared"}
-        ``"euclidean"``: the cost of two points is their Euclidean distance, and the result has its unit. ``"squared"``:
-        the cost is the squared distance and the root is taken of the sum, as tslearn and dtaidistance do.
+        ``"euclidean"``: the cost of two points is their Euclidean distance, and the result has the unit of the series.
+        ``"squared"``: the cost is the squared distance, and the result is the root of the sum, as in tslearn and
+        dtaidistance.
     window : int, optional
         Sakoe-Chiba band, at least 1: only points less than `window` instants apart may be matched, so 1 allows no
-        warping. For unequal lengths the band surrounds both diagonals, the one from the first points and the one from
-        the last: ``-(max(T_i - T_j, 0) + window) < t_j - t_i < max(T_j - T_i, 0) + window``. This is dtaidistance's
+        warping. For unequal lengths the band surrounds both diagonals, from the first points and from the last points:
+        ``-(max(T_i - T_j, 0) + window) < t_j - t_i < max(T_j - T_i, 0) + window``. This is dtaidistance's
         `window`, and tslearn's `sakoe_chiba_radius` plus one.
     dtype : {"float64", "float32"}
         Type of the arithmetic and of the result. In single precision the common mean of all points is subtracted first,
@@ -71,25 +72,26 @@ def distance_matrix(
         Show a progress bar on standard error after a few seconds.
     out : path or numpy.memmap of `dtype`, shape (n, n), optional
         For a matrix that does not fit in memory: the path of a file to create (NumPy's format, ``numpy.load(path,
-        mmap_mode="r")`` reads it), or a map onto one. A second file, ``.progress``, is created next to it.
+        mmap_mode="r")`` reads it), or a memmap of an existing file. A second file, ``.progress``, is created next to
+        this file.
     resume : bool
-        Continue `out` after an earlier call with the same series and options has ended in any way. Squares in the file
-        are not computed again; without a file, start from the beginning.
+        Continue `out` after an earlier call with the same series and options was interrupted. Finished blocks of the
+        matrix in the file are not computed again. If there is no file, the computation starts from the beginning.
     client : distributed.Client, optional
-        Dask cluster whose workers compute, on all of their cores; with it, `n_jobs` has no effect. The result is the
-        same to the bit. Needs the extra `cluster`.
+        Dask cluster whose workers compute, on all of their cores; `n_jobs` then has no effect. The result is the same
+        to the bit. Needs the extra `cluster`.
 
     Returns
     -------
     ndarray of `dtype`, shape (n, n)
-        Symmetric to the bit, zero on the diagonal. The map if `out` is given.
+        Symmetric to the bit, zero on the diagonal. If `out` is given, the memmap.
 
     Raises
     ------
     InputError
-        If a series is empty, not numeric, not finite or has another number of dimensions than the first (the message
-        names its index), an option is invalid, a distance is too large for `dtype`, there is no GPU, or `out` does not
-        fit or belongs to something else.
+        If a series is empty, not numeric, not finite or has another number of dimensions than the first series (the
+        message names its index), an option is invalid, a distance is too large for `dtype`, there is no GPU, or `out`
+        has the wrong shape or type or belongs to other series or options.
 
     Examples
     --------
@@ -99,7 +101,7 @@ def distance_matrix(
     settings = _check_settings(local_cost, window, dtype, n_jobs, device, client)
     arrays = _validate_series(series)
     if resume and out is None:
-        raise InputError("resume needs a matrix on disk; give its path as out.")
+        raise InputError("resume continues a matrix on disk; give the path of this matrix as out.")
     if len(arrays) < 2 and out is None:
         return np.zeros((len(arrays), len(arrays)), dtype=settings.dtype)
     arrays = _subtract_common_mean(arrays, settings.dtype, len(arrays))
@@ -109,7 +111,7 @@ def distance_matrix(
             pairs.require_finite_distances(result)
             return result
         if isinstance(out, np.ndarray) and not isinstance(out, np.memmap):
-            raise InputError("out is an array in memory; give a path or a numpy.memmap.")
+            raise InputError("out is an array in memory, but has to be a file; give a path or a numpy.memmap.")
         if not arrays:
             raise InputError("There are no series, so out would be empty; give at least one series.")
         return disk.fill_matrix_file(
@@ -138,7 +140,7 @@ def distances_to(
     series : sequence of n array_like, shape (T_i,) or (T_i, k)
         Time series or trajectories.
     landmarks : sequence of m array_like, shape (T_j,) or (T_j, k)
-        With the same number of dimensions k as the series.
+        Series from which distances are computed, with the same number of dimensions k as `series`.
     local_cost, window, dtype, n_jobs, device, progress, client : optional
         As in `distance_matrix`.
 
@@ -180,17 +182,17 @@ def kernel_matrix(
     n_jobs: int | None = None,
     progress: bool = False,
 ) -> npt.NDArray[np.floating[Any]]:
-    """Gaussian (RBF) kernel ``exp(-gamma d²)`` of the dynamic time warping distances d between all pairs.
+    """Compute the Gaussian kernel ``exp(-gamma d²)`` of the dynamic time warping distances d between all pairs.
 
-    A distance is not computed if a lower bound proves that its entry underflows to zero. The result is the same to the
-    bit as with all distances. The other options are those of `distance_matrix`.
+    A distance is not computed if a lower bound proves that its entry of the kernel underflows to zero. The result is
+    the same to the bit as with all distances. The other options are those of `distance_matrix`.
 
     Parameters
     ----------
     series : sequence of n array_like, shape (T_i,) or (T_i, k)
         Time series or trajectories.
     gamma : float
-        Above 0, in one over the unit of the distance squared.
+        Factor of the squared distance, above 0; its unit is one over the squared unit of the distances.
     local_cost, window, dtype, n_jobs, progress : optional
         As in `distance_matrix`.
 
@@ -268,14 +270,14 @@ def _check_settings(
 def _subtract_common_mean(
     arrays: list[npt.NDArray[np.float64]], dtype: np.dtype[Any], n_series: int
 ) -> list[npt.NDArray[np.float64]]:
-    """In single precision, subtract the mean of all points.
+    """Subtract the mean of all points in single precision, so that large coordinates keep their digits.
 
-    The first `n_series` arrays are series, the others are landmarks.
+    In double precision, the arrays stay as they are. The first `n_series` arrays are series, the others are landmarks.
     """
     if dtype != np.float32 or not arrays:
         return arrays
     points = np.concatenate(arrays)
-    # Must not overflow before the message below can name the series.
+    # This must not overflow, so that the message below can name the series.
     mean = (points / len(points)).sum(axis=0)
     points -= mean
     # One pass over all points, since there may be thousands of short arrays.
@@ -296,9 +298,9 @@ def _check_positive_int(name: str, value: object) -> int:
 def _validate_series(
     series: Sequence[npt.ArrayLike], name: str = "Series", dims: int | None = None
 ) -> list[npt.NDArray[np.float64]]:
-    """Return the series as finite arrays of shape (T_i, k).
+    """Return the series as finite arrays of shape (T_i, k); raise `InputError` if a series is invalid.
 
-    `dims` is the number of dimensions k if it is already known; by default it is that of the first series.
+    `dims` is the number of dimensions k if it is already known; otherwise the first series determines it.
     """
     arrays: list[npt.NDArray[np.float64]] = []
     for index, values in enumerate(series):
@@ -335,7 +337,7 @@ _CELLS_PER_STEP: Final = 1_000_000
 
 @contextmanager
 def _progress_bar(progress: bool, cells: int) -> Iterator[Callable[[int], None]]:
-    """Show a progress bar; yield the function that adds the number of cells of a finished tile."""
+    """Show a progress bar; yield a function that advances the bar by a number of finished cells (pairs of points)."""
     total = max(1, round(cells / _CELLS_PER_STEP))
     finished = 0
 

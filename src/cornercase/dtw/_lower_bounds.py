@@ -1,4 +1,4 @@
-"""Lower bounds of distances, to skip pairs of series without warping them."""
+"""Lower bounds of DTW distances, with which distant pairs of series are skipped without computing their distance."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator, call-arg"
@@ -23,11 +23,11 @@ _TINY = 1e-150
 def find_pairs_within_distance(
     series: Sequence[npt.NDArray[np.floating[Any]]], distance: float, squared: bool
 ) -> BoolArray:
-    """Return which pairs of series may be at most `distance` apart, bool (n, n), symmetric.
+    """Return the mask of the pairs of series that may be at most `distance` apart, shape (n, n), symmetric.
 
-    Each point of one series is matched with some point of the other. So the cost of the point is at least its distance
-    to the bounding box of the other series. The sum of these costs is a lower bound, with any window. If costs are
-    `squared`, the bound is the root of the sum.
+    Each point of a series is matched with some point of the other series. So the cost of this match is at least the
+    distance of the point to the bounding box of the other series. The sum of these costs is a lower bound, with any
+    window. If costs are `squared`, the bound is the root of the sum.
     """
     lengths = np.array([len(values_of_series) for values_of_series in series], dtype=np.int64)
     starts = np.concatenate(([0], np.cumsum(lengths)))

@@ -1,4 +1,4 @@
-"""All distances of a set of series in memory, on the CPU or the GPU; repeated pairs are computed once."""
+"""DTW distances of series, computed in memory on the CPU or the GPU; identical series are computed only once."""
 
 from __future__ import annotations
 
@@ -21,7 +21,11 @@ Floats = npt.NDArray[np.floating[Any]]
 
 @dataclass(frozen=True)
 class DtwSettings:
-    """Settings of a computation of distances; `squared` is the choice of the local cost."""
+    """Settings for the computation of distances.
+
+    `squared` selects the squared Euclidean distance as local cost, instead of the Euclidean distance. `window` is the
+    Sakoe-Chiba band in instants; None for no band.
+    """
 
     squared: bool
     window: int | None
@@ -37,11 +41,11 @@ def compute_distances(
     report_progress: Callable[[int], None],
     max_distance: float | None = None,
 ) -> Floats:
-    """Distances of validated series, shape (len(rows), len(columns)); infinite on overflow or if not computed.
+    """Compute the distances of validated series, shape (len(rows), len(columns)).
 
     Without `columns`, the rows are compared with each other. `report_progress` gets the number of cells (pairs of
     instants) done since its last call. Distances that surely exceed `max_distance` are skipped if the rows are compared
-    with each other on the CPU.
+    with each other on the CPU. Skipped distances, and distances that overflow, are infinite.
     """
     total = count_cells(rows, columns)
     distinct_rows, row_of = remove_duplicates(rows)
@@ -115,7 +119,7 @@ def require_gpu() -> None:
 
 
 def count_cells(rows: Sequence[Floats], columns: Sequence[Floats] | None) -> int:
-    """Number of cells (pairs of instants) in the cost tables of all pairs of series."""
+    """Return the number of cells (pairs of instants) in the cost tables of all pairs of series."""
     lengths = np.array([len(values) for values in rows], dtype=np.float64)
     if columns is None:
         return int((lengths.sum() ** 2 - (lengths**2).sum()) / 2)
@@ -123,7 +127,7 @@ def count_cells(rows: Sequence[Floats], columns: Sequence[Floats] | None) -> int
 
 
 def remove_duplicates(series: Sequence[Floats]) -> tuple[Sequence[Floats], IntArray]:
-    """Return the distinct series, and for each given series the index of its equal among them.
+    """Return the distinct series, and the index of each given series among the distinct series.
 
     Only series that are equal to the bit are duplicates.
     """
@@ -138,7 +142,7 @@ def trim_common_constant_parts(
 ) -> tuple[Sequence[Floats], Sequence[Floats] | None]:
     """Shorten a constant start or end that all series share to one point, which changes no distance.
 
-    An example is a metric's course at its cap. Without a window the distances stay the same to the bit.
+    An example is a metric that stays at its cap. Without a window the distances stay the same to the bit.
 
     Why: let x begin with p times the point c, and y with q times. A path through the cost table begins in the p by q
     square of both constant starts. Suppose that it leaves the square early, at ``x[i]`` with ``i < p``. It then

@@ -21,7 +21,7 @@ VECTOR_BYTES = 64
 
 
 class Vector(types.Type):
-    """Type of a vector of `dtype` in numba."""
+    """Numba type of a vector of 64 bytes with elements of type `dtype`."""
 
     def __init__(self, dtype: types.Float) -> None:
         self.dtype = dtype
@@ -61,7 +61,7 @@ def _call_llvm_intrinsic(builder: Any, name: str, value: Any) -> Any:
 
 @intrinsic
 def load_vector(typingctx: Any, array: Any, index: Any) -> Any:
-    """Load a vector from a contiguous one-dimensional array; its first element is at `index`."""
+    """Load a vector from a contiguous one-dimensional array, from position `index` on."""
     vector = Vector(array.dtype)
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
@@ -74,7 +74,7 @@ def load_vector(typingctx: Any, array: Any, index: Any) -> Any:
 
 @intrinsic
 def store_vector(typingctx: Any, array: Any, index: Any, value: Any) -> Any:
-    """Write a vector to an array; its first element goes to `index`."""
+    """Write a vector to an array, from position `index` on."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         pointer = _pointer(context, builder, signature.args[0], args[0], args[1])
@@ -87,9 +87,9 @@ def store_vector(typingctx: Any, array: Any, index: Any, value: Any) -> Any:
 
 @intrinsic(prefer_literal=True)
 def broadcast_point(typingctx: Any, array: Any, index: Any, dims: Any) -> Any:
-    """Make a tuple of `dims` (a constant) vectors, one for each coordinate of a point that begins at `index`.
+    """Make a tuple of `dims` vectors, one for each coordinate of a point that begins at `index` of `array`.
 
-    All lanes of a vector have the same value.
+    All lanes of a vector have the same value. `dims` is a constant.
     """
     vector = Vector(array.dtype)
     vectors = types.UniTuple(vector, dims.literal_value)
@@ -108,7 +108,7 @@ def broadcast_point(typingctx: Any, array: Any, index: Any, dims: Any) -> Any:
 
 @intrinsic
 def sum_of_squares(typingctx: Any, point: Any, array: Any, index: Any) -> Any:
-    """Squared distances of a point to the interleaved points that begin at `index`, one per lane."""
+    """Return the squared distances of a point to the interleaved points that begin at `index`, one per lane."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         vector_type = _ir_type(point.dtype)
@@ -153,14 +153,14 @@ subtract = _make_binary_intrinsic(lambda builder, a, b: builder.fsub(a, b))
 minimum = _make_binary_intrinsic(lambda builder, a, b: builder.select(builder.fcmp_ordered("<", a, b), a, b))
 
 
-# In AVX-512 the integer minimum runs in parallel with additions, and the floating-point minimum competes with them. The
+# In AVX-512 the integer minimum runs in parallel with additions, but the floating-point minimum competes with them. The
 # bits of non-negative floats sort like integers.
 _INTEGER_MINIMUM = bool(get_host_cpu_features().get("avx512f"))
 
 
 @intrinsic
 def nonnegative_minimum(typingctx: Any, a: Any, b: Any) -> Any:
-    """Minimum of two vectors of non-negative numbers, which may be infinite."""
+    """Return the minimum of two vectors in each lane; their numbers are not negative, and may be infinite."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         a, b = args
