@@ -1,4 +1,4 @@
-"""Search for the whole critical set that chooses its models by what it observes."""
+"""Search for all critical scenarios with the models that predict the observed outcomes best."""
 
 from __future__ import annotations
 
@@ -21,43 +21,44 @@ from cornercase.optimizers._local_minima import indices_below_local_minima
 from cornercase.optimizers._straddle import choose_by_straddle
 
 _LOCAL_MINIMA_FRACTION: Final = 0.15  # greatest fraction of the points that follow local minima of the scores
-_MAX_FAILURE_PROBABILITY: Final = 0.25  # greatest probability of failure where the process alone chooses
-_CONDITIONING_STEP: Final = 5  # number of further scenarios after which the models are conditioned on them
+_MAX_FAILURE_PROBABILITY: Final = 0.25  # greatest probability of failure if the process alone chooses
+_CONDITIONING_STEP: Final = 5  # the models are conditioned on new scenarios after this number
 
 
 class _ProposalModel(CommitteeModel):
-    """Committee, or a single one of its classifiers."""
+    """Committee of classifiers that may use a single classifier if this predicts the outcomes better."""
 
     may_be_alone: ClassVar[bool] = True
 
 
 class Auto(Committee):
-    """Searches for the whole critical set, with the models that predict the observed outcomes best.
+    """Optimizer that searches for all critical scenarios, with the models that predict the observed outcomes best.
 
     Three classifiers predict which scenarios are critical, as in `Committee`: trees on predicted features of the
-    recordings (on the score, where there are no recordings), a random forest on the parameters, and the Gaussian
-    process of `LevelSet`. The rule:
+    recordings (or on predicted scores without features), a random forest on the parameters, and the Gaussian process of
+    `LevelSet`. The rules are:
 
     1. The first 24 points, and a fraction of all others, are a Sobol' sequence, which no score influences.
-    2. While no scenario is critical, the lowest score so far replaces the threshold, and most candidates are near it.
-       While all are critical, a value just below the highest score replaces it.
-    3. Otherwise three quarters of the candidates are near critical scenarios, the others are all over the space.
-    4. Of the three classifiers and their weighted mean, the one with the least out-of-fold log loss of the observed
-       outcomes predicts the probability p that a candidate is critical.
-    5. If this is the process alone, the score is smooth: points are chosen by the straddle heuristic, as in
-       `LevelSet`. Otherwise each point has the largest uncertainty times distance of all candidates. The uncertainty is
-       as in `Committee`: high if p is near one half, or if the branch is uncertain. The distance is that to the nearest
-       scenario that was run or chosen; it counts more along a coordinate with a short length scale, and has no limit.
-    6. Up to 15 % of the points follow local minima of the scores that do not reach the threshold, to find further
-       critical regions.
+    2. While no scenario is critical, the lowest score so far replaces the threshold, and most candidates are near the
+       scenario with this score. While all scenarios are critical, the second highest score replaces the threshold.
+    3. Otherwise three quarters of the candidates are near critical scenarios, and the rest is all over the space.
+    4. A classifier, or the weighted mean of the three, predicts the probability p that a candidate is critical. It is
+       the predictor with the smallest out-of-fold log loss of the observed outcomes.
+    5. If this predictor is the Gaussian process, the score is smooth. Then points are chosen by the straddle heuristic,
+       as in `LevelSet`. Otherwise the points with the largest product of uncertainty and distance are chosen. The
+       uncertainty is as in `Committee`: high if p is near one half, or if the branch is uncertain. The distance to the
+       nearest scenario that was run or chosen counts more along a coordinate with a short length scale.
+    6. Up to 15 % of the points are downhill from local minima of the scores that do not reach the threshold, to find
+       further critical regions.
 
-    If scenarios fail, trees learn where, and likely failures are avoided. With a warm start, the prediction of the
-    other study is an additional coordinate of the classifiers, as in `Committee`.
+    If scenarios fail, trees learn which scenarios fail, and likely failures are avoided. With a warm start, the
+    prediction of the other study is an additional coordinate of the classifiers, as in `Committee`.
 
-    Kernels and weights are learned again after every ten new scores, or after half as many more if that is more:
-    from the first 20, 30, 45, 67, 100, 150 and so on; while all scenarios are critical, or none, after every ten. In
-    between, the classifiers are trained again after every five. Features are predicted from at most 256 scenarios, half
-    of them nearest to the threshold, so that a proposal takes no longer after many scenarios.
+    Kernels and weights are learned again after every ten new scores, or when the number of scores has grown by half if
+    that is later: from the first 20, 30, 45, 67, 100, 150 and so on. While all scenarios are critical, or none, they
+    are learned again after every ten scores. In between, the classifiers are trained again after every five scores.
+    Features are predicted from at most 256 scenarios, half of them nearest to the threshold, so that a proposal takes
+    no longer after many scenarios.
 
     Parameters
     ----------
@@ -100,7 +101,11 @@ class Auto(Committee):
         self._n_conditioned = self._n_learned
 
     def _count_to_learn_from(self) -> int:
-        """Number of scenarios to learn from: also the first tens while all are on one side, and the first on both."""
+        """Return the number of scenarios, from the first on, from which the models are learned.
+
+        While all finished scenarios are critical, or none is, this number grows by tens. It also includes the first
+        scenarios on both sides of the threshold.
+        """
         number, latest = super()._count_to_learn_from(), len(self._scores) // MIN_NEW_SCENARIOS * MIN_NEW_SCENARIOS
         finished, critical = self._is_finished, self._criterion.is_critical(self._scores)
         if latest <= number or 0 < critical[:number].sum() < finished[:number].sum():
@@ -132,7 +137,10 @@ class Auto(Committee):
         return np.concatenate([below, candidates[choose(candidates, filling, n)]])
 
     def _points_below_local_minima(self, candidates: FloatArray, n: int) -> FloatArray:
-        """Candidates that lie downhill from local minima; how many depends only on the number of proposals."""
+        """Return candidates that lie downhill from local minima of the scores.
+
+        Their number depends only on the number of proposals.
+        """
         before, after = (math.floor(_LOCAL_MINIMA_FRACTION * k) for k in (self._n_proposed, self._n_proposed + n))
         count = min(after - before, n)
         if count == 0:
@@ -143,7 +151,7 @@ class Auto(Committee):
         return self._deduplicator.filter_snapped(candidates[below])
 
     def _choose_by_process(self, candidates: FloatArray, filling: FloatArray, n: int) -> IntArray:
-        """Choose `n` candidates by the straddle heuristic, where they are unlikely to fail."""
+        """Choose `n` candidates by the straddle heuristic, among candidates that are unlikely to fail."""
         fails = self._failure_probability(self._encode(candidates))
         likeliest = np.argsort(fails, kind="stable")
         likely = np.sort(likeliest[: max(n, int((fails <= _MAX_FAILURE_PROBABILITY).sum()))])
@@ -153,7 +161,10 @@ class Auto(Committee):
         return likely[choose_by_straddle(self._committee.process, coordinates, sampled, n)]
 
     def _choose_by_committee(self, candidates: FloatArray, filling: FloatArray, n: int) -> IntArray:
-        """Choose `n` candidates about which the committee is uncertain, away from each other and from what was run."""
+        """Choose `n` candidates about which the committee is uncertain.
+
+        They are far from each other and from scenarios that were run.
+        """
         x = self._encode(candidates)
         gain = committee_acquisition(*self._committee.predict(self._model_coordinates(candidates)))
         gain *= 1.0 - self._failure_probability(x)

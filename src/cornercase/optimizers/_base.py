@@ -15,39 +15,42 @@ from cornercase.metrics import Feature, registered_features
 from cornercase.scenario import ParameterSpace
 
 OptimizerInput = Literal["threshold", "budget", "features"]
-"""What an optimizer may require besides space and seed."""
+"""Argument that an optimizer may require in addition to the parameter space and the seed."""
 
 
 class Optimizer(Configurable, ABC):
-    """Proposes scenarios to run, as points of the unit cube.
+    """Base class of optimizers, which propose scenarios to run as points of the unit cube.
 
-    The constructor takes options only. `start` returns a copy that searches a space, with `ask` and `tell`. The
-    proposals depend only on the space, the seed, and the observed scores in the order of the calls. So a search goes
-    on, after it was killed or with a larger budget, by telling a fresh copy all stored scores, round by round: it then
-    proposes what the first one would have. A random number generator that `ask` advances would begin again. Either draw
-    from ``np.random.default_rng([seed, n])`` in each `ask`, where n is the number of scenarios that `tell` got, or set
-    `is_stateful_ask`, as below: before each round is told, the copy is asked for it again.
+    The constructor takes options only. `start` returns a copy that searches a parameter space: `ask` proposes points,
+    and `tell` gives the copy their scores.
+
+    The proposals depend only on the space, the seed, and the observed scores in the order of the calls. So a search can
+    continue after it was killed, or with a larger budget: a new copy gets all stored scores by `tell`, round by round,
+    and then makes the same proposals as the first copy would have made. But a random number generator that `ask`
+    advances would start again in the new copy. There are two solutions. Either draw from
+    ``np.random.default_rng([seed, n])`` in each `ask`; n is the number of scenarios that `tell` got so far. Or set
+    `is_stateful_ask`, as in the example ``Uniform``: then `ask` is called for each stored round before `tell`.
 
     A subclass defines `prepare`, `ask` and `tell`. The arguments of its constructor are its options and have defaults.
-    On the command line options follow a colon, as in ``bayes:filling=0``, which is also the text (`str`) of the object.
-    Two optimizers are equal if their class and options are. A study stores the text of the optimizer: it can be read
-    without the class, and continued if the same object is given to `explore` again.
+    On the command line options follow a colon, as in ``bayes:filling=0``. This is also the text (`str`) of the object.
+    Two optimizers are equal if their class and options are equal. A study stores the text of the optimizer, so the
+    study can be read without the class. It can be continued if an equal object is given to `explore` again.
 
     Attributes
     ----------
     name : str
-        As on the command line; with the options that were given. It must not be the name of another optimizer.
+        Name, also on the command line; in an object, the given options follow. No other optimizer may have this name.
     multi_objective : bool, default False
-        Whether it takes several scores per scenario and searches their Pareto front.
+        True if the optimizer takes several scores per scenario and searches their Pareto front.
     supports_warm_start : bool, default False
-        Whether `warm_start` accepts the scores of another study.
+        True if `warm_start` accepts the scores of another study.
     requires : frozenset of {"threshold", "budget", "features"}, default empty
-        Arguments of `prepare` besides ``space`` and ``seed``: ``threshold``, the score up to which a scenario is
-        critical; ``budget``, the total number of scenarios; ``features``, the `Feature` of each column. The proposals
-        of an optimizer that requires the budget depend on it, so its studies keep their initial budget. The `tell` of
-        one that requires features takes them as third argument, shape (m, f), NaN for a scenario that failed.
+        Arguments of `prepare` in addition to ``space`` and ``seed``: ``threshold``, the score up to which a scenario is
+        critical; ``budget``, the total number of scenarios; ``features``, the `Feature` of each column. If the budget
+        is required, proposals depend on it, so a study keeps its initial budget. If features are required, `tell` takes
+        them as third argument, shape (m, f), NaN for a scenario that failed.
     is_stateful_ask : bool, default False
-        Whether its proposals also depend on earlier calls of `ask`. If a search goes on, these calls are repeated.
+        True if proposals also depend on earlier calls of `ask`. If a search is continued, these calls are repeated.
 
     See Also
     --------
@@ -122,12 +125,12 @@ class Optimizer(Configurable, ABC):
         seed : int
             The same seed gives the same proposals.
         threshold : float, optional
-            Score up to which a scenario is critical, with lower as more critical. Like the next two, it has an effect
-            only if the optimizer `requires` it.
+            Score up to which a scenario is critical; lower scores are more critical. `threshold`, `budget` and
+            `features` have an effect only if the optimizer `requires` them.
         budget : int, optional
             Total number of scenarios.
         features : sequence of Feature, optional
-            Columns of the features that `tell` gets. By default all registered ones.
+            Columns of the features that `tell` gets. By default all registered features.
 
         Returns
         -------
@@ -178,7 +181,7 @@ class Optimizer(Configurable, ABC):
         Returns
         -------
         ndarray of float64, shape (m, d)
-            In the unit cube; m < n only if the space has no more.
+            Points in the unit cube; fewer than n only if the space has no more points.
         """
 
     @abstractmethod
@@ -189,15 +192,15 @@ class Optimizer(Configurable, ABC):
         ----------
         points : ndarray of float64, shape (m, d)
         scores : ndarray of float64, shape (m,) or (m, k)
-            Lower is more critical. NaN for a scenario that failed. k scores per scenario only if the optimizer is
-            `multi_objective`.
+            Lower is more critical. NaN for a scenario that failed. There are k scores per scenario only if the
+            optimizer is `multi_objective`.
         """
 
     def ask_async(self, n: int, pending: FloatArray, *pseudo_results: Any) -> FloatArray:
         """Propose points while other scenarios are running, in a search without rounds.
 
-        By default a copy of the optimizer proposes them. Before, the copy observes the mean of all scores for each
-        pending point (constant liar).
+        By default a copy of the optimizer proposes the points, after the copy has observed the mean of all scores as
+        the score of each pending point (constant liar).
 
         Parameters
         ----------
@@ -205,13 +208,13 @@ class Optimizer(Configurable, ABC):
         pending : ndarray of float64, shape (p, d)
             Points that were proposed and have no result yet, in the order in which they were proposed.
         *pseudo_results : ndarray of float64, shape (p,), (p, k) or (p, f)
-            Results that a constant liar assumes for the pending points: one array for each argument of `tell` after the
-            points, in the same order (k scores or f features of a point).
+            Results that are assumed for the pending points: one array for each argument of `tell` after the points, in
+            the same order (k scores or f features of a point).
 
         Returns
         -------
         ndarray of float64, shape (m, d)
-            As from `ask`; none of `pending`.
+            Points as from `ask`, without the points of `pending`.
 
         Notes
         -----
@@ -229,9 +232,9 @@ class Optimizer(Configurable, ABC):
         Parameters
         ----------
         points : ndarray of float64, shape (n, d)
-            Scenarios of a study of the same parameters, of another driver, simulator or time step.
+            Scenarios of a study with the same parameters but, for example, another driver, simulator or time step.
         scores : ndarray of float64, shape (n,)
-            Lower is more critical; finite; at least 10, not all the same.
+            Scores of these scenarios, lower is more critical. All are finite; there are at least 10, not all the same.
 
         Raises
         ------
@@ -239,5 +242,6 @@ class Optimizer(Configurable, ABC):
             The optimizer does not support a warm start.
         """
         raise InputError(
-            f"`warm_start`: {self.name} learns nothing from another study; use auto, level-set or committee."
+            f"`warm_start`: {self.name} learns nothing from another study; use the optimizer auto, level-set or"
+            " committee."
         )

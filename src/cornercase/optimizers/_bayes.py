@@ -18,7 +18,7 @@ from cornercase.evidence.gp._process import encode_points
 from cornercase.optimizers._candidates import CandidateOptimizer
 from cornercase.optimizers._random_features import RandomFeatureProcess
 
-_STEPS, _STEP_SIZE = 50, 0.01  # of Adam: a tenth of PHYSBO's number of steps, ten times as long
+_STEPS, _STEP_SIZE = 50, 0.01  # of Adam: a tenth of PHYSBO's number of steps, each ten times as large
 _N_COMPARED: Final = 200  # points on which initial length scales are compared
 _N_DISTANCE_POINTS: Final = 2000  # points whose distances give the initial length scales
 
@@ -26,16 +26,17 @@ _N_DISTANCE_POINTS: Final = 2000  # points whose distances give the initial leng
 class Bayes(CandidateOptimizer):
     """Bayesian optimization with Thompson sampling.
 
-    The setting is that of Schütt, Otten and Sax (2023), section "Optimization Workflow": automatic hyperparameters,
-    Thompson sampling, random feature maps. PHYSBO is the maintained successor of the package COMBO that they used. The
-    first 20 points are a Sobol' sequence. Hyperparameters are learned and feature maps drawn again after every ten new
-    scores, or after a tenth more scores if that is more. In between, the process is only conditioned on the new scores.
+    The settings follow Schütt, Otten and Sax (2023), section "Optimization Workflow": automatic hyperparameters,
+    Thompson sampling, random feature maps. PHYSBO is the maintained successor of the package COMBO, which they used.
+    The first 20 points are a Sobol' sequence. Hyperparameters are learned and feature maps drawn again after every ten
+    new scores, or when the number of scores has grown by a tenth if that is later. In between, the Gaussian process is
+    only conditioned on the new scores.
 
     Each point of a round comes from another sample of the process. Each sample chooses among its own candidates, so a
     round contains no scenario twice and does not crowd at one end of a critical region.
 
-    Samples of the process crowd where the scores are lowest. So a fraction of all points continues the Sobol' sequence,
-    to find other critical regions and to have less critical scenarios for comparison.
+    Points from samples crowd in the region with the lowest scores. So a fraction of all points continues the Sobol'
+    sequence, to find other critical regions and to have less critical scenarios for comparison.
 
     Parameters
     ----------
@@ -99,17 +100,20 @@ class Bayes(CandidateOptimizer):
             )
 
     def _process_coordinates(self, points: FloatArray) -> FloatArray:
-        """Coordinates of points for the process, (n, e); any two choices of a parameter are equidistant."""
+        """Return the coordinates of points for the process, (n, e); any two choices of a parameter are equidistant."""
         return 2.0 * encode_points(self._space, points) - 1.0
 
     def _standardized_negative_scores(self, scores: FloatArray) -> FloatArray:
-        """Negative scores, standardized, (n,): PHYSBO maximizes."""
+        """Return the negative standardized scores, shape (n,); negative, since PHYSBO maximizes."""
         mean, deviation = self._score_mean_and_deviation
         return -(scores - mean) / deviation
 
 
 def _fit_feature_process(points: FloatArray, values: FloatArray, features: int) -> RandomFeatureProcess:
-    """Fit the process to values; PHYSBO learns the hyperparameters by Adam, from the best of five length scales."""
+    """Fit a Gaussian process with random features to values, shape (n,), at points, shape (n, d).
+
+    PHYSBO learns the hyperparameters by Adam, from the best of five initial length scales.
+    """
     import physbo
 
     gp = physbo.gp

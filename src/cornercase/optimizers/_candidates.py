@@ -1,4 +1,4 @@
-"""Optimizers that choose among candidates by a model of the scores."""
+"""Base class of optimizers that choose points among candidates by a model of the scores."""
 
 from __future__ import annotations
 
@@ -25,12 +25,13 @@ class CandidateOptimizer(Optimizer):
     the first sequence, to find critical regions that the model does not predict.
 
     Costly parts of the model, such as the kernel of a Gaussian process, are learned again after every ten new
-    scenarios, or after a tenth more scenarios if that is more: from the first 20, the first 30, and so on to 100, 110,
-    121. Failed scenarios count. In between, the model is only conditioned on the new scores. So proposals depend on the
-    observed results only, not on the size of rounds.
+    scenarios, or when the number of scenarios has grown by a tenth if that is later: from the first 20, the first 30,
+    and so on to 100, 110, 121. Failed scenarios count. In between, the model is only conditioned on the new scores. So
+    proposals depend on the observed results only, not on the size of rounds.
 
-    In a search without rounds, pending points count towards the space-filling fraction. The model is conditioned on
-    pending points without a score, and on the space-filling points of the same round too.
+    In a search without rounds, pending points (proposed, but without a result) count towards the space-filling
+    fraction. The model takes the positions of pending points, and of the space-filling points of the same round, into
+    account without a score.
 
     A subclass sets `initial`, the number of points before anything is learned, and `_filling`, the fraction of all
     points that fills the space.
@@ -55,7 +56,7 @@ class CandidateOptimizer(Optimizer):
         return self.ask_async(n, self._points[:0])
 
     def ask_async(self, n: int, pending: FloatArray, *lies: Any) -> FloatArray:
-        """Propose points while others are pending; the model is conditioned on `pending` without assumed scores."""
+        """Propose points while others are pending; the model takes `pending` into account without assumed scores."""
         with single_threaded_blas():
             return self._propose(n, pending)
 
@@ -83,7 +84,7 @@ class CandidateOptimizer(Optimizer):
         self._sequence.tell(points, scores)
 
     def _has_enough_scores(self) -> bool:
-        """Whether there are enough scores to learn from."""
+        """Return True if there are enough scores to learn from."""
         return len(self._points) >= self.initial
 
     @property
@@ -103,7 +104,7 @@ class CandidateOptimizer(Optimizer):
         return int(np.random.SeedSequence([self._seed, number]).generate_state(1)[0])
 
     def _count_to_learn_from(self) -> int:
-        """Number of scenarios, from the first on, that the model is learned from."""
+        """Return the number of scenarios, from the first on, from which the model is learned."""
         count = len(self._scores)
         number = min(MIN_NEW_SCENARIOS, count)
         while (more := number + max(MIN_NEW_SCENARIOS, int(self.relearn_growth * number))) <= count:
@@ -115,13 +116,16 @@ class CandidateOptimizer(Optimizer):
         return math.floor(self._filling * n_points + 1e-9)
 
     def _new_candidates(self, count: int, filling: FloatArray) -> FloatArray:
-        """Candidates for this round from a new sequence, (m, d), neither observed nor in `filling` (f, d)."""
+        """Draw candidates for this round, shape (m, d), neither observed nor in `filling`, shape (f, d)."""
         return self._draw_candidates(self._round_seed, count, np.concatenate([self._points, filling]))
 
     def _draw_candidates(self, seed: int, count: int, exclude: FloatArray) -> FloatArray:
-        """Candidates from a sequence with its own seed, (m, d), without the points in `exclude` (k, d)."""
+        """Draw candidates from a sequence with its own seed, shape (m, d).
+
+        None of them is in `exclude`, shape (k, d).
+        """
         sequence = Sobol().start(self._space, seed)
-        # Telling it the excluded points is faster than to filter all drawn points afterwards.
+        # If the sequence observes the excluded points, this is faster than to filter all drawn points afterwards.
         sequence.tell(exclude, np.zeros(len(exclude)))
         return sequence.ask(count)
 

@@ -1,4 +1,4 @@
-"""Search for the whole critical set: propose scenarios about which a committee of classifiers is uncertain."""
+"""Search for all critical scenarios: proposals about which a committee of classifiers is uncertain."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from cornercase.optimizers._warm_start import WarmStartOptimizer
 from cornercase.scenario import ParameterSpace
 from cornercase.study._criterion import Criterion
 
-_TREES: Final = 64  # of the classifier of failures
+_TREES: Final = 64  # number of trees of the classifier of failures
 _BRANCH_WEIGHT: Final = 0.5  # weight of an uncertain branch against an uncertain outcome
 _MIN_SIDE: Final = 0.1  # least scale of a coordinate that the score depends on little
 _MAX_DEVIATION: Final = 0.06  # greatest deviation of candidates from critical scenarios
 
 
 class _ThoroughModel(CommitteeModel):
-    """Committee that learns from more scenarios, with more trees."""
+    """Committee of classifiers that learns from more scenarios, with more trees, than `CommitteeModel`."""
 
     max_process_scenarios: ClassVar[int] = 512
     max_kernel_scenarios: ClassVar[int | None] = None
@@ -35,23 +35,25 @@ class _ThoroughModel(CommitteeModel):
 
 
 class Committee(WarmStartOptimizer):
-    """Proposes the scenarios about which a committee of classifiers (`CommitteeModel`) is most uncertain.
+    """Optimizer that proposes scenarios about which a committee of classifiers (`CommitteeModel`) is most uncertain.
 
-    The committee learns from features of the recordings, so it follows scores that jump between branches of a scenario.
-    Proposed scenarios have a probability of being critical near one half, or an uncertain branch: who is first, or
-    whether both touch. The points of a round are spread out, more along a coordinate with a short length scale. The
-    first 24 points, and a fraction of all others, are a Sobol' sequence, to find critical regions that the committee
-    does not predict.
+    The committee learns from features of the recordings, so it follows scores that jump between branches of a scenario
+    (who is first, or whether both touch). Proposed scenarios have a probability of being critical near one half, or an
+    uncertain branch. The points of a round are spread out, more along a coordinate with a short length scale. The first
+    24 points, and a fraction of all others, are a Sobol' sequence, to find critical regions that the committee does not
+    predict.
 
-    While no scenario is critical, the search is for lower scores: the lowest score so far replaces the threshold. While
-    all are critical, a value just below the highest score replaces it. If scenarios fail, the committee learns where,
-    and likely failures are avoided.
+    While no scenario is critical, the optimizer looks for lower scores: the lowest score so far replaces the threshold.
+    While all scenarios are critical, the second highest score replaces the threshold. If scenarios fail, trees learn
+    which scenarios fail, and likely failures are avoided.
 
-    With a warm start, the prediction of the other study is an additional coordinate (`SourceStudyModel`) for the
-    classifiers that it helps. Half of the first 10 points are where the other study predicts the boundary. If it
-    predicts the scores of these points, the classifiers learn from fewer points than otherwise.
+    With a warm start, the prediction of the other study is an additional coordinate (`SourceStudyModel`) for those
+    classifiers that become better by it. Half of the first 10 points are on the boundary that the other study predicts.
+    If the other study predicts the scores of these points, the classifiers learn from fewer points than without a warm
+    start.
 
-    The kernels of the committee are learned again after every ten new scores, or after a quarter more if that is more.
+    The kernels of the committee are learned again after every ten new scores, or when the number of scores has grown by
+    a quarter if that is later.
 
     Parameters
     ----------
@@ -137,7 +139,10 @@ class Committee(WarmStartOptimizer):
         return candidates[_choose_spread_out(x * sides, gain, encode_points(self._space, sampled) * sides, sides, n)]
 
     def _condition_committee(self, count: int | None = None) -> None:
-        """Condition the committee on the finished ones of the first `count` scenarios, by default of all."""
+        """Condition the committee on the finished scenarios among the first `count`, without learning kernels again.
+
+        By default, all finished scenarios are used.
+        """
         finished = np.flatnonzero(self._is_finished[:count])
         self._committee.condition_on(
             self._model_coordinates(self._points[finished]),
@@ -149,7 +154,10 @@ class Committee(WarmStartOptimizer):
         return None if self._observed_features is None else self._observed_features[self._is_finished][:count]
 
     def _draw_near_and_far(self, filling: FloatArray, n: int) -> FloatArray:
-        """Draw candidates all over the space, and near critical scenarios and the most critical one."""
+        """Draw candidates all over the space, and candidates near some scenarios that were run.
+
+        These scenarios are all critical scenarios and the scenario with the lowest score.
+        """
         scores = self._scores[self._is_finished]
         critical = self._points[self._is_finished][self._criterion.is_critical(scores) | (scores == scores.min())]
         near = int(self._near_fraction * self._count)
@@ -162,7 +170,7 @@ class Committee(WarmStartOptimizer):
         return np.concatenate([everywhere, self._deduplicator.filter(moved, np.concatenate([everywhere, filling]))])
 
     def _failure_probability(self, encoded_points: FloatArray) -> FloatArray:
-        """Probability that scenarios fail, (m,)."""
+        """Return the probability that each scenario fails, shape (m,)."""
         failed = ~self._is_finished
         if not failed.any():
             return np.zeros(len(encoded_points))
@@ -174,22 +182,30 @@ class Committee(WarmStartOptimizer):
 
 
 def coordinate_scales(process: GaussianProcess, n_coordinates: int) -> FloatArray:
-    """Scales (e,) of the coordinates for distances: 1 where the process has the shortest length scale."""
+    """Return the scales of the coordinates for distances, shape (e,).
+
+    The scale is 1 for the coordinate with the shortest length scale of the process, and less for all others.
+    """
     # The prediction of another study is not a coordinate of the space.
     length_scales = process.kernel.length_scales[:n_coordinates]
     return np.asarray(np.maximum(length_scales.min() / length_scales, _MIN_SIDE))
 
 
 def committee_acquisition(p_critical: FloatArray, p_likeliest_branch: FloatArray) -> FloatArray:
-    """Expected information of scenarios, (m,): high if it is uncertain whether they are critical, or their branch.
+    """Return how informative scenarios are expected to be, shape (m,).
 
-    `p_critical` (m,) is the probability of being critical, `p_likeliest_branch` (m,) that of the likeliest branch.
+    The value is high if it is uncertain whether a scenario is critical, or to which branch it belongs. `p_critical`,
+    shape (m,), is the probability of being critical. `p_likeliest_branch`, shape (m,), is the probability of the
+    likeliest branch.
     """
     return np.maximum(0.5 - np.abs(p_critical - 0.5), _BRANCH_WEIGHT * (1.0 - p_likeliest_branch))
 
 
 def _criterion_between_scores(scores: FloatArray, criterion: Criterion) -> Criterion:
-    """Return the criterion if there are scores on both sides of it, else the nearest criterion that has some."""
+    """Return the criterion if there are scores on both sides of its threshold.
+
+    Otherwise return the criterion with the nearest threshold that has scores on both sides.
+    """
     lowest, below_highest = np.unique(scores)[[0, -2]]
     return Criterion(float(min(max(criterion.oriented, lowest), below_highest)))
 
@@ -197,10 +213,10 @@ def _criterion_between_scores(scores: FloatArray, criterion: Criterion) -> Crite
 def _choose_spread_out(
     points: FloatArray, gain: FloatArray, sampled: FloatArray, sides: FloatArray, n: int
 ) -> IntArray:
-    """Choose `n` of the points (m, e), one after the other: the largest gain (m,) times distance from all others.
+    """Choose `n` of the points (m, e), one after the other, by the largest product of gain (m,) and distance.
 
-    The others are the `sampled` points (k, e) and the points chosen before. Distances are limited to the spacing of
-    points that are spread evenly in a box with these `sides` (e,).
+    The distance is to the nearest of the `sampled` points (k, e) and the points chosen before. Distances are limited to
+    the spacing of points that are spread evenly in a box with these `sides` (e,).
     """
     # Points this far apart do not differ along short sides: use the longest sides, as many as maximize the spacing.
     longest = np.sort(sides)[::-1]
@@ -209,9 +225,9 @@ def _choose_spread_out(
 
 
 def choose_distant(points: FloatArray, gain: FloatArray, distance: FloatArray, n: int) -> IntArray:
-    """Choose `n` of the points (m, e), one after the other: the largest gain (m,) times distance (m,).
+    """Choose `n` of the points (m, e), one after the other, by the largest product of gain (m,) and distance (m,).
 
-    `distance` is that to what is known; points that were chosen are known, too.
+    `distance` is the distance to the nearest known point. Each chosen point becomes a known point.
     """
     selected: list[int] = []
     for _ in range(n):

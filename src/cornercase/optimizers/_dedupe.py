@@ -1,4 +1,4 @@
-"""Deduplication of proposed scenarios."""
+"""Removal of scenarios from proposals that were observed before or are proposed twice."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from cornercase.scenario import ParameterSpace
 
 
 class Deduplicator:
-    """Remembers the observed points of a space, and removes them from proposals.
+    """Filter that removes repeated points, and points observed before, from the proposals for a parameter space.
 
     Two points are equal if they represent the same concrete scenario. Before points are compared, they are snapped to
     the steps and choices of the parameters.
@@ -26,16 +26,19 @@ class Deduplicator:
         self._remembered |= _point_keys(self._space.snap(points))
 
     def filter(self, points: FloatArray, exclude: FloatArray | None = None) -> FloatArray:
-        """Snap points (n, d) of the unit cube, and return the distinct ones that can be proposed, (m, d), in order.
+        """Snap points of the unit cube, shape (n, d), and return the distinct points that can be proposed, in order.
 
-        A point can be proposed if it fulfils the constraints of the space, and is neither remembered nor in `exclude`
-        (k, d).
+        A point can be proposed if it fulfils the constraints of the space, and is neither remembered nor in `exclude`,
+        shape (k, d).
         """
         snapped = self._space.snap(points)
         return self.filter_snapped(snapped[self._space.is_admissible(snapped)], exclude)
 
     def filter_snapped(self, points: FloatArray, exclude: FloatArray | None = None) -> FloatArray:
-        """Like `filter`, for points that are already snapped and fulfil the constraints."""
+        """Return the distinct points that can be proposed, shape (m, d), as `filter` does, in order.
+
+        The given points are already snapped and fulfil the constraints.
+        """
         excluded = self._remembered if exclude is None else self._remembered | _point_keys(self._space.snap(exclude))
         if no_duplicates(points, excluded):
             return points

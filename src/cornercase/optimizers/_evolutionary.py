@@ -19,10 +19,10 @@ _TRIES = 50
 class Evolutionary(Optimizer):
     """Genetic algorithm; with several scores it is NSGA-II and searches their Pareto front.
 
-    The parents of a round are the best of all observed scenarios, by non-dominated sorting and crowding distance;
-    tournaments of two select them. Children come from simulated binary crossover and polynomial mutation. A parameter
-    with choices is inherited from some parent, or drawn at random. Children that were run before, or violate
-    constraints, are generated again.
+    The population of a round consists of the best of all observed scenarios, by non-dominated sorting and crowding
+    distance. Tournaments of two select parents from the population. Children come from simulated binary crossover and
+    polynomial mutation. A parameter with choices is inherited from some parent, or drawn at random. Children that were
+    run before, or violate constraints, are replaced by further children.
 
     Source: K. Deb et al., "A fast and elitist multiobjective genetic algorithm: NSGA-II", IEEE Transactions on
     Evolutionary Computation 6 (2002); implemented with pymoo (J. Blank, K. Deb, IEEE Access 8, 2020).
@@ -66,7 +66,7 @@ class Evolutionary(Optimizer):
         return self.ask_async(n, self._points[:0])
 
     def ask_async(self, n: int, pending: FloatArray, *lies: Any) -> FloatArray:
-        """Propose points while others are pending; only finished scenarios are parents."""
+        """Propose points while others are pending, that is, without a result; only finished scenarios are parents."""
         if self._scores is None or np.isfinite(self._scores).all(axis=1).sum() < self._population:
             return self._sequence.ask(n, exclude=pending)
         children = self._make_children(n, pending)
@@ -82,7 +82,7 @@ class Evolutionary(Optimizer):
         self._sequence.tell(points, scores)
 
     def _make_children(self, n: int, pending: FloatArray) -> FloatArray:
-        """Generate at most `n` new points, (m, d), from the best scenarios; new: neither observed nor pending."""
+        """Generate at most `n` points, shape (m, d), from the best scenarios, neither observed nor pending."""
         from pymoo.core.mating import Mating
         from pymoo.core.population import Population
         from pymoo.core.problem import Problem
@@ -110,7 +110,10 @@ class Evolutionary(Optimizer):
         return accepted
 
     def _inherit_choices(self, children: FloatArray, parents: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """Give each child the choices of some parent; a choice is random with a probability of 1/d."""
+        """Give each child the choices of random parents in the parameters with choices.
+
+        Each choice is instead drawn at random with a probability of 1/d; d is the number of parameters.
+        """
         inherited = parents[rng.integers(len(parents), size=children.shape), np.arange(children.shape[1])]
         new = rng.random(children.shape)
         mutates = rng.random(children.shape) < 1.0 / children.shape[1]
@@ -118,7 +121,10 @@ class Evolutionary(Optimizer):
 
 
 def _mask_first_pareto_fronts(scores: FloatArray, count: int) -> BoolArray:
-    """Mask of the rows of scores (m, k) on the first Pareto fronts: as many fronts as hold at least `count` rows."""
+    """Return the mask of the rows of scores, shape (m, k), on the first Pareto fronts.
+
+    There are as many fronts as are needed to hold at least `count` rows.
+    """
     if scores.shape[1] == 1:
         return np.asarray(scores[:, 0] <= np.partition(scores[:, 0], count - 1)[count - 1])
     from moocore import pareto_rank
@@ -128,7 +134,7 @@ def _mask_first_pareto_fronts(scores: FloatArray, count: int) -> BoolArray:
 
 
 def _tournament_winners(population: Any, pairs: Any, random_state: Any = None, **_: Any) -> Any:
-    """Winner of each pair: the individual of lower rank, or if the ranks are equal, the less crowded one."""
+    """Return the winner of each pair: the individual of lower rank, or if tied, the less crowded individual."""
     rank, crowding = population.get("rank"), population.get("crowding")
     first, second = pairs.T
     wins = (rank[first] < rank[second]) | ((rank[first] == rank[second]) & (crowding[first] >= crowding[second]))

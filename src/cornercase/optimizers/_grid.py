@@ -1,4 +1,4 @@
-"""Regular grid, the baseline of every search."""
+"""Optimizer that proposes a regular grid, as a baseline for every search."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ _MAX_POINTS: Final = 1_000_000
 class Grid(Optimizer):
     """Full factorial design: all points of a regular grid.
 
-    The grid has as many steps per parameter as fit into the budget, at least one. Nothing is random. `start` refuses a
-    grid of more than a million points.
+    Each parameter has as many steps as fit into the budget, and at least one. Nothing is random. `start` refuses a grid
+    of more than a million points.
 
     Examples
     --------
@@ -71,7 +71,10 @@ class Grid(Optimizer):
 
 
 def _space_filling_order(steps: list[int]) -> IntArray:
-    """Order of the cells of a grid such that the first cells always cover the space: the order of Sobol' points."""
+    """Return an order of the cells of a grid in which the first cells always cover the space.
+
+    This is the order in which the points of a Sobol' sequence reach the cells.
+    """
     size = int(np.prod(steps))
     # Imported late, since it takes half a second and few searches need it.
     from scipy.stats import qmc

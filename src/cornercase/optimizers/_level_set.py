@@ -1,4 +1,4 @@
-"""Search for the boundary of the whole critical set."""
+"""Search for the boundary of the critical set, that is, of all critical scenarios."""
 
 from __future__ import annotations
 
@@ -33,28 +33,29 @@ _UNCERTAIN_FRACTIONS, _FILLING_FACTORS = (0.03, 0.08), (2.5, 1.0)
 
 
 class LevelSet(WarmStartOptimizer):
-    """Proposes the scenarios about which a Gaussian process is most uncertain whether they are critical.
+    """Optimizer that proposes scenarios near the boundary of the critical set, predicted by a Gaussian process.
 
-    A scenario is critical if its score is at most the threshold. Each point of a round has the largest ``1.96 s - |m -
-    threshold|`` of all candidates (the straddle heuristic). Here m is the mean of a boundary process and s its standard
-    deviation. Then s is updated as if that point were known, so the points of a round spread over the boundary. The
-    first 24 points, and a fraction of all others, are a Sobol' sequence, to find critical regions that the process does
-    not predict. This fraction grows to 2.5 times its value as the known boundary becomes certain: when the volume about
-    which the process expects to be wrong falls from 8 % to 3 % of the critical volume.
+    A scenario is critical if its score is at most the threshold. The process predicts the score of each candidate, with
+    mean m and standard deviation s. Each point of a round is the candidate with the largest ``1.96 s - |m -
+    threshold|`` (the straddle heuristic). Then s is updated as if the score of this point were known, so the points of
+    a round spread over the boundary.
 
-    Up to 15 % of the points follow local minima of the scores that do not reach the threshold
+    The first 24 points, and a fraction of all others, are a Sobol' sequence, to find critical regions that the process
+    does not predict. This fraction grows to 2.5 times its value as the known boundary becomes certain: as the volume
+    that the process expects to misclassify falls from 8 % to 3 % of the critical volume.
+
+    Up to 15 % of the points are downhill from local minima of the scores that do not reach the threshold
     (`suggest_below_local_minima`), to find further critical regions.
 
-    If scenarios have failed, a process of failures excludes candidates that are likely to fail. Their probability of
-    failure is more than 25 %, and more than 1.25 times the fraction that has failed. Only the Sobol' sequence continues
-    there.
+    If scenarios have failed, a process of failures excludes candidates with a probability of failure above 25 % that
+    is also above 1.25 times the fraction of failed scenarios. The Sobol' sequence does not exclude them.
 
-    The kernel is learned again, and candidates are drawn, after every ten new scenarios, or after a tenth more
-    scenarios if that is more. The best 4096 candidates serve for the rounds until then.
+    The kernel is learned again, and candidates are drawn, after every ten new scenarios, or when the number of
+    scenarios has grown by a tenth if that is later. The best 4096 candidates serve for the rounds until then.
 
     With a warm start, the prediction of the other study is an additional coordinate of the process
-    (`SourceStudyModel`). Half of the first 10 points are where the other study predicts the boundary. If it predicts
-    the scores of these points, the process is learned from fewer points than otherwise.
+    (`SourceStudyModel`). Half of the first 10 points are on the boundary that the other study predicts. If the other
+    study predicts the scores of these points, the process is learned from fewer points than without a warm start.
 
     Source: B. Bryan, J. Schneider et al., "Active learning for identifying function threshold boundaries", NIPS (2005).
 
@@ -63,7 +64,7 @@ class LevelSet(WarmStartOptimizer):
     candidates : int, default 20000
         Number of candidates from which the points are chosen.
     filling : float, default 0.2
-        Least fraction of the points that fills the space, from 0 to 1.
+        Smallest fraction of the points that fills the space, from 0 to 1.
 
     Raises
     ------
@@ -122,7 +123,7 @@ class LevelSet(WarmStartOptimizer):
         self._all_candidates = candidates
 
     def _mask_unlikely_to_fail(self, candidates: FloatArray) -> BoolArray:
-        """Mask of the candidates that are unlikely to fail, according to a process of failures."""
+        """Return the mask of the candidates that are unlikely to fail, according to a process of failures."""
         finished = self._is_finished[: self._n_learned]
         observed = encode_points(self._space, self._points[: self._n_learned])
         process = GaussianProcess(1.0).fit(observed, np.where(finished, -1.0, 1.0))
@@ -136,9 +137,9 @@ class LevelSet(WarmStartOptimizer):
         return np.concatenate([below, self._points_at_boundary(points, scores, filling, n)]) if n else below
 
     def _points_below_local_minima(self, filling: FloatArray, n: int) -> FloatArray:
-        """Points for this round that lie downhill from local minima.
+        """Return points for this round that lie downhill from local minima of the scores.
 
-        How many there are depends only on the number of proposals.
+        Their number depends only on the number of proposals.
         """
         n_proposed = self._n_proposed
         count = min(
@@ -152,7 +153,10 @@ class LevelSet(WarmStartOptimizer):
         return self._deduplicator.filter_snapped(self._all_candidates[below], exclude=filling)
 
     def _points_at_boundary(self, points: FloatArray, scores: FloatArray, filling: FloatArray, n: int) -> FloatArray:
-        """Points for this round that are most uncertain, at most `n`, neither observed nor in `filling`."""
+        """Return at most `n` points for this round whose side of the boundary is most uncertain.
+
+        None of them is observed or in `filling`.
+        """
         candidates = self._deduplicator.filter_snapped(self._candidates, exclude=filling)
         if len(candidates) < n:
             candidates = self._new_candidates(max(n, min(self._count, _N_BEST)), filling)
@@ -170,9 +174,9 @@ class LevelSet(WarmStartOptimizer):
 
 
 def _uncertain_fraction(probabilities: FloatArray) -> float:
-    """Volume that the process expects to misclassify, as a fraction of the critical volume.
+    """Return the volume that the process expects to misclassify, as a fraction of the critical volume.
 
-    It is computed from probabilities of being critical.
+    `probabilities` are the predicted probabilities of being critical.
     """
     near = probabilities[probabilities >= _MIN_PROBABILITY]
     return float(np.minimum(near, 1.0 - near).sum() / near.sum()) if len(near) else 0.0

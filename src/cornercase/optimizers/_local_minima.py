@@ -1,4 +1,4 @@
-"""Suggest points downhill from local minima of the scores."""
+"""Suggestion of points downhill from local minima of the scores."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ def suggest_below_local_minima(
 ) -> FloatArray:
     """Suggest points (m, e) downhill from local minima above the threshold, the most promising first.
 
-    The next critical region may be near such a minimum. But a process of all scores, most of which may be flat, does
-    not distinguish the minimum from noise, and a boundary search stays at the known boundary. A scenario is a local
-    minimum if it is not critical and has the lowest score among its 2 e nearest scenarios. Its score has to be at most
-    three times as far from the threshold as from the median of these scenarios. The suggested point lies along the
-    slope through these neighbours, at half the distance to the nearest of them.
+    The next critical region may be near such a minimum. But a process of all scores, which may be mostly flat, does not
+    distinguish the minimum from noise, and a boundary search stays at the known boundary. A scenario is a local minimum
+    if it is not critical and has the lowest score among its 2 e nearest scenarios. Its score has to be at most three
+    times as far from the threshold as from the median of these scenarios. The suggested point lies along the slope
+    through these neighbours, at half the distance to the nearest neighbour.
 
-    `points` (n, e) are encoded scenarios that were run. `scores` (n,) are lower where more critical; NaN for a failed
-    scenario counts as the highest. At most `max_count` points are returned, by default all.
+    `points` (n, e) are encoded scenarios that were run. `scores` (n,) are lower for more critical scenarios; NaN for a
+    failed scenario counts as the highest score. At most `max_count` points are returned, by default all.
     """
     count = 2 * points.shape[1]
     if len(points) <= count:
@@ -51,7 +51,10 @@ def suggest_below_local_minima(
 def indices_below_local_minima(
     points: FloatArray, scores: FloatArray, criterion: Criterion, candidates: FloatArray, max_count: int
 ) -> IntArray:
-    """Indices of the encoded candidates (k, e) that are nearest to the suggestions, at most `max_count`."""
+    """Return the indices of the encoded candidates (k, e) nearest to points downhill from local minima.
+
+    `suggest_below_local_minima` suggests these points, at most `max_count`.
+    """
     suggestions = suggest_below_local_minima(points, scores, criterion, max_count)
     if not len(suggestions) or not len(candidates):
         return np.zeros(0, dtype=np.int64)

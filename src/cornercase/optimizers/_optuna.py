@@ -1,4 +1,4 @@
-"""Samplers of Optuna as optimizers."""
+"""Optimizer that uses the samplers of Optuna."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ _TRIES = 20
 
 
 class Optuna(Optimizer):
-    """A sampler of Optuna, with one score or several.
+    """Optimizer that uses a sampler of Optuna, with one score or several.
 
-    A sampler has a state besides points and scores. When a study is resumed, the sampler observes points that it did
-    not propose. So it is first asked for as many points; in the same rounds these are the same points. In a search
-    without rounds the sampler knows which of its points are pending.
+    A sampler has a state in addition to points and scores. When a study is continued, a new sampler observes points
+    that it did not propose. So the sampler is first asked for as many points; with the same rounds these are the same
+    points. In a search without rounds, the sampler knows which of its points have no result yet.
 
     Source: T. Akiba et al., "Optuna: A next-generation hyperparameter optimization framework", KDD (2019).
 
@@ -68,7 +68,7 @@ class Optuna(Optimizer):
         self._space, self._seed = space, seed
         self._sequence = Sobol().start(space, seed)
         self._deduplicator = Deduplicator(space)
-        # Optuna's trials of proposed points without a result; None for points of the sequence.
+        # Optuna's trials of proposed points without a result; None for points of the Sobol' sequence.
         self._open_trials: dict[bytes, Any] = {}
         self._study: Any = None
         self._in_rounds = True
@@ -80,7 +80,10 @@ class Optuna(Optimizer):
         return self._propose(n, np.zeros((0, self._space.dimension)))
 
     def ask_async(self, n: int, pending: FloatArray, *lies: Any) -> FloatArray:
-        """Propose points while others are pending; Optuna counts these as running trials, which TPE treats as bad."""
+        """Propose points while others are pending, that is, without a result.
+
+        Optuna counts pending points as running trials, which TPE treats as bad.
+        """
         self._in_rounds = False
         return self._propose(n, pending)
 
@@ -139,7 +142,7 @@ class Optuna(Optimizer):
         return np.array([np.frombuffer(key) for key in self._open_trials]).reshape(-1, self._space.dimension)
 
     def _new_point(self, pending: FloatArray) -> FloatArray | None:
-        """Next point of the sampler that was not proposed before, (d,); None if the sampler finds none."""
+        """Return a new point of the sampler, shape (d,), that was not proposed before; None if there is none."""
         for _ in range(_TRIES):
             trial = self._study.ask(self._parameter_distributions())
             for point in self._deduplicator.filter(

@@ -1,4 +1,4 @@
-"""Optimizers by name."""
+"""Registry of optimizers by name."""
 
 from __future__ import annotations
 
@@ -8,7 +8,10 @@ from cornercase._common.registry import Registry
 from cornercase.optimizers._base import Optimizer
 
 OPTIMIZERS: Final[Registry[Optimizer]] = Registry("optimizer", "cornercase.optimizers", Optimizer)
-"""Optimizers by name; other packages add subclasses of `Optimizer` through this entry-point group."""
+"""Optimizers by name.
+
+Other packages add subclasses of `Optimizer` through the entry-point group ``cornercase.optimizers``.
+"""
 
 for _name, _target in (
     ("auto", "_auto:Auto"),

@@ -1,4 +1,4 @@
-"""Space-filling sequences, which do not use scores."""
+"""Optimizers that propose space-filling sequences of points, and do not use scores."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ _MAX_DRAWN: Final = 1 << 20
 
 
 class SequenceOptimizer(Optimizer):
-    """Base class of optimizers that propose the points of an endless sequence, without scenarios run before.
+    """Base class of optimizers that propose the points of an endless sequence, except scenarios that were run before.
 
-    A finite space is run completely. When the sequence hardly reaches new scenarios any more, the remaining ones follow
-    in a random order, which depends on the same seed.
+    A finite space is run completely. When the sequence hardly reaches new scenarios any more, the remaining scenarios
+    follow in a random order, which depends on the same seed.
     """
 
     multi_objective = True
@@ -50,7 +50,7 @@ class SequenceOptimizer(Optimizer):
         Returns
         -------
         ndarray of float64, shape (m, d)
-            m < n only if the space has no more.
+            Fewer than n points only if the space has no more points.
         """
         while len(points := self._filter_ready_points(exclude)) < n and self._draw_more(n - len(points)):
             pass
@@ -61,7 +61,7 @@ class SequenceOptimizer(Optimizer):
         return self.ask(n, exclude=pending)
 
     def tell(self, points: FloatArray, scores: FloatArray) -> None:
-        """Do not propose these points (m, d) again; scores have no effect."""
+        """Exclude the points, shape (m, d), from further proposals; scores have no effect."""
         self._deduplicator.remember(points)
         self._ready_points = self._deduplicator.filter_snapped(self._ready_points)
 
@@ -74,7 +74,10 @@ class SequenceOptimizer(Optimizer):
         )
 
     def _draw_more(self, missing: int) -> bool:
-        """Draw as many further points as were drawn before, or at least `missing`; False if there are no more."""
+        """Draw as many further points of the sequence as were drawn before, or more if `missing` is larger.
+
+        Returns False if there are no more points.
+        """
         size = self._space.size
         if self._is_exhausted or self._n_drawn >= _MAX_DRAWN + 4 * len(self._deduplicator):
             return False

@@ -1,4 +1,4 @@
-"""The optimizer of a study whose class is not at hand."""
+"""Placeholder for the optimizer of a study whose class is not available."""
 
 from __future__ import annotations
 
@@ -12,27 +12,30 @@ from cornercase.scenario import ParameterSpace
 
 
 class StoredOptimizer(Optimizer):
-    """Stands for an optimizer that only its text in a study describes; it is equal in text, and refuses to search."""
+    """Placeholder for an optimizer that is known only by its text in a study.
+
+    The placeholder has the same text as the optimizer, and refuses to search.
+    """
 
     def __init__(self, text: str) -> None:
         self.name = text
 
     def prepare(self, space: ParameterSpace, seed: int, *further: Any, **required: Any) -> None:
-        """Raise `InputError`: the object is needed."""
+        """Raise `InputError`, since a search needs the optimizer itself."""
         raise InputError(
             f"The study was searched with the optimizer '{self.name[:100]}', which is none of cornercase; code that a"
-            " study names is not run, so give it again as an object, as in explore(MyOptimizer(), …)."
+            " study names is not run, so give the optimizer again as an object, as in explore(MyOptimizer(), …)."
         )
 
     def ask(self, n: int) -> FloatArray:
-        """Never called, since `prepare` refuses."""
+        """Raise `NotImplementedError`; never called, since `prepare` refuses a search."""
         raise NotImplementedError
 
     def tell(self, points: FloatArray, scores: FloatArray) -> None:
-        """Never called, since `prepare` refuses."""
+        """Raise `NotImplementedError`; never called, since `prepare` refuses a search."""
         raise NotImplementedError
 
 
 def known_optimizer(text: str) -> str | Optimizer:
-    """Return the text of a registered optimizer; for any other text, what stands for the optimizer."""
+    """Return the text if a registered optimizer has this name, otherwise a placeholder (`StoredOptimizer`)."""
     return text if text.partition(":")[0] in OPTIMIZERS else StoredOptimizer(text)

@@ -1,4 +1,4 @@
-"""Choice of points by the straddle heuristic."""
+"""Choice of points by the straddle heuristic: points that may be on either side of the threshold."""
 
 from __future__ import annotations
 
@@ -17,19 +17,20 @@ Floats = npt.NDArray[np.floating[Any]]
 
 
 def straddle_gains(mean: FloatArray, deviation: FloatArray) -> FloatArray:
-    """Straddle heuristic, (m,): high where it is uncertain on which side of the threshold a score is.
+    """Return the gain of points by the straddle heuristic, shape (m,).
 
-    `mean` and `deviation` (m,) are predictions of a process with the threshold at 0.
+    The gain is high if it is uncertain on which side of the threshold the score of a point is. `mean` and `deviation`,
+    shape (m,), are predictions of a process with the threshold at 0.
     """
     return np.asarray(1.96 * deviation - np.abs(mean))
 
 
 class StraddleSelection:
-    """Chooses candidates one after the other by the straddle heuristic; each takes the earlier ones into account.
+    """Selection of candidates one after the other by the straddle heuristic, given the candidates selected before.
 
-    `points` (m, e) are the encoded candidates. `mean` and `variance` (m,) are the predictions of `process` for them;
-    the variance is changed in place. `projections` (m, k) come from `GaussianProcess.predict_with_projections`; k is 0
-    if the process has no values yet.
+    `points`, shape (m, e), are the encoded candidates. `mean` and `variance`, shape (m,), are the predictions of
+    `process` for the candidates; the variance is changed in place. `projections`, shape (m, k), come from
+    `GaussianProcess.predict_with_projections`; k is 0 if the process has no values yet.
     """
 
     def __init__(
@@ -53,7 +54,10 @@ class StraddleSelection:
         np.maximum(self._variance - self._learned_steps[-1] ** 2, 0.0, out=self._variance)
 
     def choose_points(self, n: int, n_candidates: int) -> tuple[IntArray, float]:
-        """Choose `n` of the first `n_candidates` points by largest gain; return indices (n,) and the least gain."""
+        """Choose `n` of the first `n_candidates` points, each with the largest gain at its turn.
+
+        Returns the indices, shape (n,), and the smallest gain of a chosen point.
+        """
         chosen: list[int] = []
         least = math.inf
         while len(chosen) < n:

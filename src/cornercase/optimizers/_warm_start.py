@@ -1,4 +1,4 @@
-"""Warm start of optimizers from another study."""
+"""Base class of optimizers with a warm start: a search that uses the scores of another study."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from cornercase.optimizers._straddle import StraddleSelection
 from cornercase.study._criterion import Criterion
 
 _N_CHECKED: Final = 10  # number of scores from which the other study's prediction is checked
-_SOURCE_FRACTION: Final = 0.5  # fraction of these points that the other study chooses
-_N_CANDIDATES: Final = 4096  # number of candidates for them
-_CATCH_UP_RANGE: Final = (15, 24)  # points between which as many space-filling points are added
+_SOURCE_FRACTION: Final = 0.5  # fraction of the first `_N_CHECKED` points that the other study chooses
+_N_CANDIDATES: Final = 4096  # number of candidates for the points that the other study chooses
+_CATCH_UP_RANGE: Final = (15, 24)  # numbers of points between which space-filling points catch up
 
 
 class WarmStartOptimizer(CandidateOptimizer):
     """Base class of optimizers that use the prediction of another study as an additional coordinate of their model.
 
-    The prediction is that of `SourceStudyModel`. Half of the first ten points are where the other study predicts the
-    boundary, to learn whether the boundary is there, or how far away. Each of these points has the largest ``1.96 s -
+    The prediction comes from `SourceStudyModel`. Half of the first ten points are on the boundary that the other study
+    predicts, to learn whether the boundary is there, or how far away. Each of these points has the largest ``1.96 s -
     |m|`` of 4096 candidates. Here m is the mean of the other study's process. s is the standard deviation of a process
     with the same kernel that is conditioned only on the points of the new search. This spreads the points along the
     predicted boundary instead of concentrating them where the prediction is most certain.
 
-    If the other study predicts the scores of the first ten points or more, the model is learned from these points;
-    otherwise from as many as without a warm start. In the latter case, as many additional space-filling points follow
-    between the 15th and the 24th point.
+    If the other study predicts the scores of the first ten points or more, the model is learned from these points. Then
+    additional space-filling points follow between the 15th and the 24th point, as many as the other study has chosen.
+    If the other study does not predict the scores, the model is learned from as many points as without a warm start.
     """
 
     supports_warm_start = True
@@ -58,7 +58,7 @@ class WarmStartOptimizer(CandidateOptimizer):
     def _points_on_source_boundary(
         self, source_model: SourceStudyModel, sampled: FloatArray, n: int, n_proposed: int
     ) -> FloatArray:
-        """Points (k, d) on the boundary that another study predicts, away from the `sampled` points (m, d)."""
+        """Return points (k, d) on the boundary that another study predicts, away from the `sampled` points (m, d)."""
         candidates = self._draw_candidates(self._seed_of(n_proposed), _N_CANDIDATES, sampled)
         count, process = len(candidates), source_model.process
         points = encode_points(self._space, np.concatenate([candidates, sampled]))
@@ -87,14 +87,17 @@ class WarmStartOptimizer(CandidateOptimizer):
         return super()._count_space_filling(n_points) + added
 
     def _encode(self, points: FloatArray) -> FloatArray:
-        """Coordinates of points in the space, (n, e)."""
+        """Return the encoded coordinates of points in the space, shape (n, e)."""
         return encode_points(self._space, points)
 
     def _model_coordinates(self, points: FloatArray) -> FloatArray:
-        """Coordinates of points for the model of the scores, (n, e); with another study, its prediction is appended."""
+        """Return the coordinates of points for the model of the scores, shape (n, e).
+
+        With another study, the prediction of this study is the last coordinate.
+        """
         return augment_points(self._source_model, encode_points(self._space, points))
 
 
 def _count_chosen_by_source(n_points: int) -> int:
-    """Number of points that the other study chooses among the first `n_points`."""
+    """Return the number of points that the other study chooses among the first `n_points`."""
     return math.floor(_SOURCE_FRACTION * min(n_points, _N_CHECKED))
