@@ -1,4 +1,4 @@
-"""Bands of criticality: scenarios divided by their score alone, where clusters find no gap."""
+"""Bands of criticality: groups of scenarios by their scores alone, for scores in which clustering finds no gap."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from cornercase.metrics import Metric
 from cornercase.study import StudyFile
 
 BANDS_PREFIX: Final = "bands:"
-"""How the name of bands begins where a clustering could be named, too: ``bands:ttc``."""
+"""Prefix of a metric's name that selects its bands instead of a clustering, as in ``bands:ttc``."""
 
 BAND_NAMES: Final = ("high", "medium", "low")
 """Names of the bands, the most critical first."""
@@ -28,27 +28,28 @@ _PUBLISHED: Final[Mapping[str, tuple[tuple[float, float], str]]] = MappingProxyT
         "thw": ((0.9, 2.0), "0.9 s and 2 s: Vogel 2003"),
     }
 )
-"""Thresholds of metrics in their unit, the most critical first, and who published them."""
+"""Published thresholds by metric, with their sources: in the metric's unit, the most critical first."""
 
-# Distinct scores that are divided exactly; more are merged to as many quantiles.
+# Greatest number of distinct scores that are divided exactly; more scores are merged into this many quantiles.
 _MAX_DISTINCT: Final = 500
 _MAX_REFINEMENTS: Final = 100
 
 
 @dataclass(frozen=True, eq=False)
 class Bands:
-    """Bands of criticality of scenarios by one metric.
+    """Bands of high, medium and low criticality, into which scenarios are divided by their scores for one metric.
 
     Attributes
     ----------
     metric, unit : str
     lower_is_critical : bool
     bounds : tuple of float
-        Scores up to which a scenario belongs to each band but the last, from the most critical one.
+        Limit of each band except the last, the most critical band first. A score at a limit is in the more critical
+        band.
     labels : ndarray of int64, shape (n,)
-        Band of each scenario; 0 is the most critical one.
+        Index of each scenario's band; 0 is the most critical band.
     source : str
-        Who published the bounds; empty for natural breaks.
+        Publication of the bounds; empty for natural breaks, which are computed from the scores.
     explained : float
         Share of the variance of the scores that the bands explain (goodness of variance fit).
 
@@ -80,11 +81,11 @@ class Bands:
 
     @property
     def method(self) -> str:
-        """How the bounds were found."""
+        """Method by which the bounds were found, in words."""
         return f"published thresholds ({self.source})" if self.source else "natural breaks"
 
     def describe_range(self, band: int) -> str:
-        """Describe the scores of a band.
+        """Describe the range of scores of a band.
 
         Parameters
         ----------
@@ -93,7 +94,7 @@ class Bands:
         Returns
         -------
         str
-            As ``"above 0.2 s, to 1.4 s"``.
+            For example ``"above 0.2 s, to 1.4 s"``.
         """
         low, high = ("below", "above") if self.lower_is_critical else ("above", "below")
         unit = "" if self.unit in ("", "1") else f" {self.unit}"
@@ -103,7 +104,7 @@ class Bands:
         return f"{high} {limits[-1]}" if band == len(self.bounds) else f"{high} {limits[band - 1]}, to {limits[band]}"
 
     def describe(self) -> str:
-        """Describe all bands, and how many scenarios are in each.
+        """Describe all bands, with the number of scenarios in each.
 
         Returns
         -------
@@ -120,10 +121,10 @@ class Bands:
 def find_bands(metric: Metric, scores: FloatArray) -> Bands | None:
     """Divide scenarios into bands of high, medium and low criticality; None if all scores are the same.
 
-    The bounds are published thresholds if there are any of the metric and the scores fall into two bands or more.
-    Else they are natural breaks: the three groups with the least sum of squared deviations from their means, which is
-    found exactly (W. D. Fisher, "On grouping for maximum homogeneity", 1958; G. F. Jenks, 1967). With two distinct
-    scores there are two bands. Bands say nothing about gaps: neighbouring scores may lie in different bands.
+    The bounds are published thresholds if the metric has any and they divide the scores into at least two bands.
+    Otherwise the bounds are natural breaks: they form the three groups with the least sum of squared deviations from
+    the group means (W. D. Fisher, "On grouping for maximum homogeneity", 1958; G. F. Jenks, 1967). Two distinct scores
+    give two bands. A bound need not lie in a gap: neighbouring scores may lie in different bands.
 
     Sources of the thresholds: S. Hirst, R. Graham, "The format and presentation of collision warnings" (1997); B. L.
     Allen, B. T. Shin, P. J. Cooper, "Analysis of traffic conflicts and collisions" (1978); D. Gettman et al.,
@@ -148,7 +149,10 @@ def find_bands(metric: Metric, scores: FloatArray) -> Bands | None:
 
 
 def bands_by_scenario(study: StudyFile, name: str) -> tuple[Bands, dict[int, int]]:
-    """Return the bands of a study by a metric, and the band of each scenario by id; InputError if there are none."""
+    """Return the bands of a study by the metric `name`, and the index of each scenario's band by scenario id.
+
+    InputError if the study lacks this metric, or all scores are the same.
+    """
     if name not in study.meta.metrics:
         raise InputError(
             f"{BANDS_PREFIX}{name}: the study has no such metric; {suggest_name(name, study.meta.metrics)}"
@@ -162,14 +166,14 @@ def bands_by_scenario(study: StudyFile, name: str) -> tuple[Bands, dict[int, int
 
 
 def bands_of_study(study: StudyFile) -> dict[str, Bands]:
-    """Return the bands of the scenarios that ran, by metric; metrics with a single score are left out."""
+    """Return the bands of criticality by each metric of a study, except metrics whose scores are all the same."""
     metrics = study.meta.create_metrics()
     candidates = {metric.name: find_bands(metric, study.scores(metric.name)) for metric in metrics}
     return {name: bands for name, bands in candidates.items() if bands is not None}
 
 
 def explained_variance(scores: FloatArray, labels: IntArray) -> float:
-    """Return the share of the variance of scores that groups explain; NaN if the scores do not vary."""
+    """Return the share of the variance of scores that their division into groups explains; NaN without variance."""
     is_finite = np.isfinite(scores)
     scores, labels = scores[is_finite], labels[is_finite]
     within = sum(float(((scores[labels == k] - scores[labels == k].mean()) ** 2).sum()) for k in np.unique(labels))
@@ -178,7 +182,10 @@ def explained_variance(scores: FloatArray, labels: IntArray) -> float:
 
 
 def _natural_breaks(scores: FloatArray, n_groups: int) -> FloatArray:
-    """Largest score of each group but the last, of the groups with the least squared deviations from their means."""
+    """Return the natural breaks of scores: the largest score of each group except the last.
+
+    The groups have the least sum of squared deviations from the group means.
+    """
     values, counts = np.unique(scores, return_counts=True)
     if len(values) > _MAX_DISTINCT:
         edges = np.unique(np.quantile(scores, np.linspace(0.0, 1.0, _MAX_DISTINCT + 1), method="lower"))
@@ -191,13 +198,13 @@ def _natural_breaks(scores: FloatArray, n_groups: int) -> FloatArray:
         sums, squares = values * counts, values**2 * counts
     n_groups = min(n_groups, len(values))
     weight, first, second = (np.append(0.0, np.cumsum(terms)) for terms in (counts, sums, squares))
-    # Entry [i, j] is the squared deviation of the values from i up to, but without j.
+    # Row i, column k: sum of the squared deviations of the values from i to k, both included.
     i, j = np.arange(len(values))[:, None], np.arange(1, len(values) + 1)
     n = np.where(j > i, weight[j] - weight[i], 1.0)
     spread = np.where(j > i, second[j] - second[i] - (first[j] - first[i]) ** 2 / n, np.inf)
     best, starts = spread[0], []
     for _ in range(n_groups - 1):
-        # The last group begins at i, and those before end there.
+        # The last group begins at value i, and the groups before it end just before i.
         total = np.append(np.inf, best[:-1])[:, None] + spread
         starts.append(total.argmin(axis=0))
         best = total.min(axis=0)
@@ -210,7 +217,7 @@ def _natural_breaks(scores: FloatArray, n_groups: int) -> FloatArray:
 
 
 def _refine_breaks(scores: FloatArray, limits: FloatArray) -> FloatArray:
-    """Move each break between the means of its groups, until nothing changes (Lloyd's algorithm)."""
+    """Move each break to the middle between the means of its two groups, until no break changes (Lloyd's algorithm)."""
     for _ in range(_MAX_REFINEMENTS):
         labels = np.searchsorted(limits, scores, side="left")
         means = np.array([scores[labels == k].mean() for k in range(len(limits) + 1)])

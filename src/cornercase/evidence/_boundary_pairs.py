@@ -1,4 +1,4 @@
-"""Pairs of scenarios that are near each other and end differently: between them is the boundary."""
+"""Pairs of scenarios that are near each other but end differently: the boundary between outcomes separates them."""
 
 from __future__ import annotations
 
@@ -10,17 +10,18 @@ from scipy.spatial import KDTree
 
 from cornercase._common.typing import FloatArray
 
-# Of a parameter without influence: so small that it decides only between equally near pairs.
+# Weight of a parameter without influence. It is so small that the parameter only decides between equally near pairs.
 _MIN_WEIGHT: Final = 1e-3
 
 
 def find_boundary_pairs(
     points: FloatArray, outcomes: Sequence[str], weights: FloatArray | None = None, count: int = 5
 ) -> list[tuple[int, int, float]]:
-    """Return the `count` nearest pairs of scenarios with different outcomes, nearest first; none comes twice.
+    """Return the `count` nearest pairs of scenarios with different outcomes, nearest first.
 
-    `points`, shape (n, d), are in the unit cube. Distances are Euclidean, with a weight per parameter, shape (d,), such
-    as its share of the variance of the score; by default all are 1. Each pair is two indices and the distance.
+    No scenario is in two pairs. `points`, shape (n, d), are in the unit cube, and `outcomes` has a label for each
+    point. Distances are Euclidean. `weights`, shape (d,), multiply the parameters, for example by their shares of the
+    variance of the score; by default all are 1. Each pair is given by two indices and the distance.
     """
     scaled = points if weights is None else points * np.maximum(weights, _MIN_WEIGHT)
     labels = np.array(outcomes)

@@ -1,4 +1,4 @@
-"""Calibration: turn the predictions of a surrogate model into probabilities of being critical."""
+"""Calibration of a surrogate model: convert its predictions to probabilities that scenarios are critical."""
 
 from __future__ import annotations
 
@@ -12,39 +12,40 @@ from cornercase._common.typing import BoolArray, FloatArray, IntArray
 # Points per axis of the grid of the posterior, and its half width in standard deviations of the prior.
 _STEPS: Final = 49
 _REACH: Final = 4.0
-# Number of predictions from which each gets less weight: they lie closer together, with correlated errors.
+# With more predictions than this, each gets less weight: close to each other, predictions have correlated errors.
 _FULL_WEIGHT_COUNT: Final = 160
 # Greatest number of bins of the predictions of each class in the likelihood.
 _MAX_BINS: Final = 128
 SURPRISE_RATES: Final = 0.3 * 0.5 ** np.arange(9)
-"""Rates of surprises that are possible besides 0, (9,)."""
-# All rates that are possible, (10, 1).
+"""Possible rates above 0 of surprises (critical scenarios to which no prediction points), (9,)."""
+# All possible rates of surprises, (10, 1).
 _RATES: Final = np.append(0.0, SURPRISE_RATES)[:, None]
 
 
 class ProbitCalibration:
     """Probit calibration: the probability that a scenario is critical is ``p = r + (1 - r) Φ(-(a + b t))``.
 
-    t is any statistic that decreases with the probability of being critical. Examples are the mean of a Gaussian
+    t is a statistic that is lower for scenarios that are more probably critical. Examples are the mean of a Gaussian
     process over its standard deviation, and the normal deviate of another classifier's output. r is the rate of
-    surprises: critical scenarios where nothing points to them, as beyond a jump of the score, or in a region thinner
-    than the distance of scenarios. Without it, few surprises among many right predictions would hardly count, because a
-    normal distribution has no place for them. The parameters a, b and r have a posterior. Their prior is standard
-    normal in a and log b, centred at the identity (a = 0, b = 1). The rate is above 0 with the prior probability
-    `p_surprises`; its logarithm is then uniform between those of 0.0012 and 0.3.
+    surprises: critical scenarios to which no prediction points, for example beyond a jump of the score, or in a region
+    thinner than the distance between scenarios. Without r, a few surprises among many right predictions would hardly
+    count, because a normal distribution does not provide for them. The parameters a, b and r have a posterior. The
+    prior is standard normal in a and log b, centred at the identity (a = 0, b = 1). The rate r is above 0 with the
+    prior probability `p_surprises`; its logarithm is then uniform between the logarithms of 0.0012 and 0.3.
 
     `t` (n,) holds out-of-sample predictions, `critical` (n,) the outcomes. `prediction_weight` is the weight of one
     prediction in the likelihood; it is below 1 if errors of neighbours are correlated. With more than 160 predictions
     each gets less weight: the total weight grows with the square root of their number, and the posterior narrows with
     the fourth root.
 
-    `chosen` are predictions and outcomes of scenarios that were chosen by scores. They inform a and b. Since a search
-    looks for critical scenarios where something points to them, they do not show how rare surprises are: surprises
-    among them have a rate of their own, with the same prior, over which their likelihood is averaged.
+    `chosen` holds predictions and outcomes of scenarios that a search chose by scores. They inform a and b, but do not
+    show how rare surprises are, since a search looks for critical scenarios where predictions point to them. So
+    surprises among the chosen scenarios have a rate of their own, with the same prior, over which their likelihood is
+    averaged.
 
     Source: J. Platt, "Probabilistic outputs for support vector machines" (1999), here with the normal distribution
-    function and the full posterior on a grid. The rate is the lapse rate of psychometric functions: F. A. Wichmann,
-    N. J. Hill, "The psychometric function: I. Fitting, sampling, and goodness of fit", Perception & Psychophysics 63
+    function and the full posterior on a grid. The rate is the lapse rate of psychometric functions: F. A. Wichmann, N.
+    J. Hill, "The psychometric function: I. Fitting, sampling, and goodness of fit", Perception & Psychophysics 63
     (2001).
     """
 
@@ -68,18 +69,21 @@ class ProbitCalibration:
         self._posterior = (density / density.sum()).ravel()
 
     def draw_parameters(self, count: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Draw `count` values of a, b and r from the posterior by stratified sampling, shape (count,) each."""
+        """Draw `count` values of each calibration parameter from the posterior, shape (count,) each.
+
+        The parameters are the offset a, the slope b and the rate of surprises r. Sampling is stratified.
+        """
         index = stratified_indices(self._posterior, count, rng)
         return self._a[index], self._b[index], self._rate[index]
 
     def probability_of_critical(self, t: FloatArray) -> FloatArray:
-        """Probability of being critical for statistics t, (n,), at the posterior means of a, b and r."""
+        """Return the probability that scenarios with predictions `t` (n,) are critical, at the posterior mean."""
         a, b, rate = (float(self._posterior @ values) for values in (self._a, self._b, self._rate))
         return np.asarray(rate + (1.0 - rate) * ndtr(-(a + b * t)))
 
 
 def stratified_indices(probability: FloatArray, count: int, rng: np.random.Generator) -> IntArray:
-    """Draw `count` indices with these probabilities (n,): one in each of `count` strata, in a random order."""
+    """Draw `count` indices with given probabilities (n,) by stratified sampling, in random order."""
     quantiles = (rng.permutation(count) + rng.random(count)) / count
     return np.minimum(np.searchsorted(np.cumsum(probability), quantiles), len(probability) - 1)
 
@@ -87,7 +91,7 @@ def stratified_indices(probability: FloatArray, count: int, rng: np.random.Gener
 def _log_likelihood(
     t: FloatArray, critical: BoolArray, a: FloatArray, slope: FloatArray, prediction_weight: float
 ) -> FloatArray:
-    """Log-likelihood of a record for each rate, and each of the pairs of `a` and `slope`, (rates, pairs)."""
+    """Return the log-likelihood of outcomes for each surprise rate and each pair of `a` and `slope`, (rates, pairs)."""
     weight = prediction_weight * min(1.0, (_FULL_WEIGHT_COUNT / max(len(t), 1)) ** 0.5)
     # Whatever the rate, the likelihood of outcomes that are not critical has the same factor.
     not_critical = np.zeros(len(a))
@@ -102,6 +106,6 @@ def _log_likelihood(
 
 
 def _group_predictions(predictions: FloatArray) -> list[tuple[int, float]]:
-    """Group neighbouring predictions; return the number and the mean of each of at most 128 groups."""
+    """Group neighbouring predictions into at most 128 groups; return the size and the mean of each group."""
     groups = np.array_split(np.sort(predictions), min(_MAX_BINS, max(len(predictions), 1)))
     return [(len(group), float(group.mean())) for group in groups if len(group)]

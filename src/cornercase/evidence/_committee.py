@@ -44,7 +44,7 @@ class CommitteeModel:
     1. Extremely randomised trees on the parameters and predicted features of the recordings. A score jumps between the
        branches of a scenario, such as the other entity going first; features tell the branches apart. Gaussian
        processes predict the features of each scenario from all other scenarios, and from the scenarios of each branch
-       (`PerBranchFeatureModels`). Without features, the score is used instead.
+       (`PerBranchFeatureModels`). Without features, trees use the score instead.
     2. A random forest on the parameters, which follows jumps too.
     3. The Gaussian process of `fit_boundary_process`, which is best at smooth boundaries.
 
@@ -53,13 +53,12 @@ class CommitteeModel:
 
     `fit` learns everything; `condition_on` updates the data at less cost. With more than 256 scenarios the processes
     of the features use 256: half of them nearest to the threshold, the others evenly spaced among the rest. Their
-    kernels are learned from at most 120. Trees use at most 4,000 scenarios: half nearest to the threshold, and of the
-    rest the rarer class first. The process of the scores uses all scenarios.
+    kernels are learned from at most 120. Trees use at most 4,000 scenarios: half of them nearest to the threshold, the
+    others preferably of the rarer class. The process of the scores uses all scenarios.
 
-    A subclass may use more: more scenarios (`max_process_scenarios`, `max_kernel_scenarios`) and more trees (`n_trees`,
-    and `n_trees_per_fold` out of fold). It may also (`may_be_alone`) use a single classifier, if that predicts the
-    outcomes better than all together: with less out-of-fold log loss. The others are then not trained until the next
-    `fit`.
+    A subclass may use more scenarios (`max_process_scenarios`, `max_kernel_scenarios`) and more trees (`n_trees`, and
+    `n_trees_per_fold` out of fold). With `may_be_alone`, a single classifier predicts if its out-of-fold log loss is
+    less than the loss of all three together. The other two are then not trained until the next `fit`.
 
     `columns` describes the features. `has_prediction` says whether the last coordinate of points is the prediction of
     another study (`SourceStudyModel`). Trees and the processes of features use it only if a forest clearly predicts the
@@ -112,7 +111,7 @@ class CommitteeModel:
         return self
 
     def condition_on(self, points: FloatArray, scores: FloatArray, features: FloatArray | None = None) -> Self:
-        """Replace the known scenarios, but not the kernels and weights; arguments as for `fit`."""
+        """Replace the known scenarios, but keep the learned kernels and weights; arguments as for `fit`."""
         self.process.condition_on_scores(points, scores, self._criterion)
         self._by_member = None
         if not self.is_process_alone:
@@ -123,7 +122,7 @@ class CommitteeModel:
 
     @property
     def is_process_alone(self) -> bool:
-        """Whether the process predicts alone."""
+        """True if the Gaussian process predicts alone, because both other classifiers have weight 0."""
         return not self._weights[:2].any()
 
     def _learn_features(
@@ -133,9 +132,9 @@ class CommitteeModel:
         features: FloatArray | None,
         kernels: Mapping[int | None, FeatureKernels] | None = None,
     ) -> None:
-        """Train feature processes on the scenarios, or on a subset of many, and keep what trees learn from.
+        """Train the feature processes, and store the columns and classes from which the trees learn.
 
-        Kernels that are not given are learned.
+        Only a subset of many scenarios is used. Kernels that are not given are learned.
         """
         self._all_points, self._tree_scenarios = points, self._select_tree_scenarios(scores)
         points, scores = self._tree_coordinates(points)[self._tree_scenarios], scores[self._tree_scenarios]
@@ -149,7 +148,11 @@ class CommitteeModel:
         self._points, self._columns = points, np.hstack([points, self._feature_models.leave_one_out])
 
     def predict(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the probability of being critical, and the probability of the likeliest branch, (m,) each."""
+        """Return the probability that each point is critical, and the probability of its likeliest branch, (m,) each.
+
+        A branch is a course of events, such as the other entity going first. Without trees on features, the second
+        result is 1.
+        """
         mean, deviation = self.process.predict(points)
         critical, classes = self._combine_members(points, mean / np.hypot(deviation, self.process.kernel.noise))
         if self._trees is None:
@@ -159,9 +162,10 @@ class CommitteeModel:
         return critical, np.minimum(by_branch.max(axis=0), 1.0)
 
     def _combine_members(self, points: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Weighted probability of being critical, and of each class; no classes without the trees on features.
+        """Return the weighted probability of being critical (m,), and the probability of each class (m, classes).
 
-        `t` is how far the process predicts each point above the threshold, in standard deviations.
+        `t` (m,) is the predicted distance above the threshold, in standard deviations, by the process of the scores.
+        Without trees on features there are no classes.
         """
         points = self._tree_coordinates(points)
         classes, by_member = np.empty((len(points), 0)), [np.zeros(len(points)), np.zeros(len(points)), ndtr(-t)]
@@ -175,9 +179,9 @@ class CommitteeModel:
         return np.asarray(self._weights @ np.stack(by_member)), classes
 
     def out_of_fold_probability(self) -> FloatArray:
-        """Probability of being critical of each known scenario, predicted from other scenarios, (n,).
+        """Return the probability that each known scenario is critical, predicted from other scenarios, (n,).
 
-        Trees did not see the scenario's fold; the process uses all other scenarios.
+        Trees are trained without the scenario's cross-validation fold; the Gaussian process uses all other scenarios.
         """
         if self.is_process_alone:
             mean, deviation = self.process.leave_one_out()
@@ -194,7 +198,7 @@ class CommitteeModel:
         return probability
 
     def _out_of_fold_by_member(self) -> FloatArray:
-        """Out-of-fold probabilities by each classifier, (n, 3), for the scenarios that trees use."""
+        """Return each classifier's out-of-fold probability of being critical, (n, 3), for scenarios that trees use."""
         mean, deviation = self.process.leave_one_out(self._tree_scenarios)
         probability: FloatArray = np.stack([np.zeros(len(mean)), np.zeros(len(mean)), ndtr(-mean / deviation)], axis=1)
         for train, test in self._train_test_folds(self._critical):
@@ -206,10 +210,10 @@ class CommitteeModel:
         return probability
 
     def _prediction_helps(self, points: FloatArray, scores: FloatArray) -> bool:
-        """Whether a forest predicts outcomes better with the prediction of another study, by over one standard error.
+        """Return whether another study's prediction improves a random forest by more than one standard error.
 
-        Both forests are judged by the log loss of scenarios outside of their fold. One standard error is the rule of L.
-        Breiman et al., "Classification and regression trees" (1984), section 3.4.3.
+        Forests with and without the prediction are compared by the log loss of scenarios outside of their fold. One
+        standard error is the rule of L. Breiman et al., "Classification and regression trees" (1984), section 3.4.3.
         """
         from sklearn.ensemble import RandomForestRegressor
 
@@ -226,7 +230,7 @@ class CommitteeModel:
         return bool(gain.mean() > gain.std() / np.sqrt(len(gain)))
 
     def _tree_coordinates(self, points: FloatArray) -> FloatArray:
-        """Coordinates for trees and feature processes: without the prediction of another study if that is dropped."""
+        """Return the coordinates for trees and feature processes: without another study's prediction if dropped."""
         return points[:, :-1] if self._drops_prediction else points
 
     def _train_test_folds(self, critical: BoolArray) -> Iterator[tuple[IntArray, IntArray]]:
@@ -247,9 +251,9 @@ class CommitteeModel:
     ) -> tuple[ExtraTreesRegressor | None, RandomForestRegressor | None]:
         """Train trees that map predicted features to classes, and a forest that maps parameters to criticality.
 
-        A model without weight is None. The trees regress indicators of the classes, which takes less time than to
-        classify. The trees are the same, since the split with the least Gini impurity also has the least variance of
-        the indicators.
+        A model without weight is None. The trees regress indicators of the classes, which is faster than
+        classification. Both give the same trees, since the split with the least Gini impurity also has the least
+        variance of the indicators.
         """
         from sklearn.ensemble import ExtraTreesRegressor, RandomForestRegressor
 
@@ -264,13 +268,13 @@ class CommitteeModel:
         return trees, forest
 
     def _critical_probability(self, class_probabilities: FloatArray) -> FloatArray:
-        """Probability of being critical: the sum over the probabilities of the critical classes."""
+        """Return the probability of being critical, (m,): the sum of the probabilities of the critical classes."""
         return np.asarray(np.minimum(class_probabilities[:, self._labels % 2 == 1].sum(axis=1), 1.0))
 
     def _select_tree_scenarios(self, scores: FloatArray) -> IntArray:
-        """Select the scenarios that trees use: all, or a part of very many.
+        """Select the scenarios that trees use; return their indices. A part of very many scenarios is used.
 
-        Half of this part is nearest to the threshold; of the rest, the rarer class comes first.
+        Half of this part is nearest to the threshold, and the other half is preferably of the rarer class.
         """
         if len(scores) <= self.max_tree_scenarios:
             return np.arange(len(scores))
@@ -282,9 +286,9 @@ class CommitteeModel:
         )
 
     def _select_process_scenarios(self, scores: FloatArray) -> IntArray | None:
-        """Select the scenarios that the feature processes use; None for all.
+        """Select the scenarios that the feature processes use; return their indices, or None for all.
 
-        Of many scenarios, half are nearest to the threshold, and the others evenly spaced among the rest.
+        A part of many scenarios is used: half nearest to the threshold, the others evenly spaced among the rest.
         """
         if len(scores) <= self.max_process_scenarios:
             return None
@@ -294,7 +298,7 @@ class CommitteeModel:
         )
 
     def _nearest_and_rest(self, scores: FloatArray, count: int) -> tuple[IntArray, IntArray]:
-        """Indices of the `count` scores nearest to the threshold, and indices of the other scores in order."""
+        """Return the indices of the `count` scores nearest to the threshold, and all other indices in order."""
         order = np.argsort(np.abs(self._criterion.margins(scores)), kind="stable")
         return order[:count], np.sort(order[count:])
 
@@ -304,7 +308,7 @@ class CommitteeModel:
         return features[:, self._inputs]
 
     def _class_labels(self, scores: FloatArray, features: FloatArray | None) -> IntArray:
-        """Class of each scenario: odd if critical; the higher bits are the signs of the branch features."""
+        """Return the class of each scenario: odd if critical; the higher bits are the signs of the branch features."""
         classes = self._criterion.is_critical(scores).astype(np.int64)
         if features is not None:
             for k, j in enumerate(self._branches):
@@ -313,24 +317,24 @@ class CommitteeModel:
 
 
 def _class_probabilities(trees: ExtraTreesRegressor, columns: FloatArray) -> FloatArray:
-    """Probabilities of the classes by trees, (m, classes)."""
+    """Return the probabilities of the classes that trees predict from `columns` (m, k), (m, classes)."""
     return np.asarray(trees.predict(columns)).reshape(len(columns), -1)
 
 
 def _likelihoods(probabilities: FloatArray, critical: BoolArray) -> FloatArray:
-    """Probability of each outcome (n,) by each classifier, (n, k), from its probabilities (n, k) of being critical."""
+    """Return each outcome's probability by each classifier, (n, k), from probabilities (n, k) of being critical."""
     return np.clip(np.where(critical[:, None], probabilities, 1.0 - probabilities), _MIN_PROBABILITY, 1.0)
 
 
 def _log_losses(probabilities: FloatArray, critical: BoolArray) -> FloatArray:
-    """Log loss of each classifier, (k,)."""
+    """Return the log loss of each classifier, (k,), from its probabilities (n, k) of being critical."""
     return np.asarray(-np.log(_likelihoods(probabilities, critical)).mean(axis=0))
 
 
 def _fit_member_weights(by_member: FloatArray, critical: BoolArray) -> FloatArray:
-    """Weights of the classifiers that maximize the likelihood of the outcomes under the weighted mean of probabilities.
+    """Fit weights of classifiers, so that the weighted mean of their probabilities makes the outcomes most likely.
 
-    They are found by expectation maximization for a mixture.
+    `by_member` (n, k) holds the probabilities of being critical. The method is expectation maximization for a mixture.
     """
     likelihood = _likelihoods(by_member, critical)
     weights = np.full(likelihood.shape[1], 1.0 / likelihood.shape[1])

@@ -1,4 +1,4 @@
-"""Estimate how much of a space is critical, and how much of that an exploration may have missed."""
+"""Estimate of the critical fraction of a parameter space, and of the part that an exploration may have missed."""
 
 from __future__ import annotations
 
@@ -35,19 +35,20 @@ from cornercase.metrics import Feature
 from cornercase.scenario import ParameterSpace
 from cornercase.study._criterion import Criterion
 
-# Points for which critical sets are drawn jointly.
+# Number of points for which critical sets are drawn jointly.
 _JOINT_POINTS: Final = 1000
 # Added to the standard deviation of outcomes, so that some nearly certain points are sampled too.
 _MIN_DEVIATION: Final = 0.02
-# Scenarios chosen independently of scores, and critical ones among them, from which intervals are given. With fewer
-# critical ones, intervals of what is missed were too narrow on the first half of benchmarks/calibration.py.
+# Least numbers, for intervals, of scenarios chosen independently of scores and of critical scenarios among them. With
+# fewer critical scenarios, intervals of the missed fraction were too narrow on the first half of
+# benchmarks/calibration.py.
 _MIN_SCENARIOS, _MIN_CRITICAL = 20, 3
 # Weight of one prediction in the likelihood; below 1 because errors of neighbouring predictions are correlated. Chosen
-# on the halves to choose with of benchmarks/calibration.py and benchmarks/intervals.py.
+# on the halves "choose" of benchmarks/calibration.py and benchmarks/intervals.py.
 _PREDICTION_WEIGHT: Final = 0.5
-# Prior probability of surprises (`ProbitCalibration`), and the fraction of the variance of the scores, unexplained by
-# predictions from other scenarios, below which it decreases in proportion. Chosen on the half to choose with of
-# benchmarks/intervals.py.
+# Prior probability of surprises (`ProbitCalibration`). The probability decreases in proportion if predictions from
+# other scenarios leave less than the second number, a fraction of the variance of the scores, unexplained. Chosen on
+# the half "choose" of benchmarks/intervals.py.
 _P_SURPRISES, _UNEXPLAINED = 0.5, 0.1
 # Prior probability that there is a critical region to which no score points.
 _P_HIDDEN: Final = 0.5
@@ -59,8 +60,8 @@ _MIN_PROBABILITY: Final = 1e-3
 MIN_REGION_FRACTION: Final = 0.01
 """Default of the smallest fraction of the space that counts as a region."""
 DEFAULT_CONFIDENCE: Final = 0.95
-"""Default of the probability with which less than a bound is missed."""
-# Greatest difference of the ranks of two calibrations that count as the same.
+"""Default probability with which the missed fraction is below its upper bound."""
+# Greatest difference of ranks up to which two calibrations count as the same.
 _MAX_RANK_DIFFERENCE: Final = 10
 # Draws whose connected regions are found in one go.
 _DRAWS_AT_ONCE: Final = 40
@@ -70,22 +71,22 @@ class CriticalSet:
     """Estimate of the set of all critical scenarios of a space, from the scenarios that were run.
 
     A Gaussian process of the scores (`fit_boundary_process`) predicts each scenario of the initial design, and each
-    audit, from all other scenarios. The quality of these predictions calibrates the probability that a scenario is
-    critical (`ProbitCalibration`). Critical sets are drawn with these probabilities, with the correlation of the
-    process between points, and with the calibration drawn from its posterior.
+    audit (scenario drawn at random as a check), from all other scenarios. The quality of these predictions calibrates
+    the probability that a scenario is critical (`ProbitCalibration`). Critical sets are drawn with these probabilities,
+    with the correlation of the process between points, and with the calibration drawn from its posterior.
 
     A critical scenario counts as found if it was run, or if the mean of the process there is beyond the threshold.
-    Audits never affect what is found. With `features` a `CommitteeModel` predicts instead of the process, which is one
-    of its classifiers. A scenario then counts as found if the predicted probability is at least `PREDICTED_CRITICAL`.
-    Its predictions of the scenarios that the search chose calibrate the probability, too. The process still provides
-    the correlation.
+    Audits never affect what is found. With `features`, a `CommitteeModel` of three classifiers predicts instead of the
+    process, which is one of the three. A scenario then counts as found if the predicted probability is at least
+    `PREDICTED_CRITICAL`. The committee's predictions of the scenarios that the search chose calibrate the probability,
+    too. The process still provides the correlation.
 
     `points` (n, d) were run and have `scores` (n,); lower is more critical, NaN for a failed scenario. `initial_design`
     (n,) marks the scenarios chosen independently of scores, by default all. `audits` are random points and their
     scores, which the optimizer has not observed. `features` are the columns and their values (n, f). `source_model`
-    adds the prediction of another study as a coordinate of the process. It is dropped if it misleads, and it is never
-    used for the calibration. `sample` is that of the space with this seed, if it is known. ValueError if there are
-    fewer than 10 scores, or all are the same.
+    adds the prediction of another study as a coordinate of the process. The coordinate is dropped if it misleads, and
+    is never used for the calibration. `sample` is the sample of the space with this seed, if it is known. ValueError if
+    there are fewer than 10 scores, or all are the same.
 
     Leave-one-out prediction: C. E. Rasmussen, C. K. I. Williams, "Gaussian Processes for Machine Learning" (2006),
     equation 5.12.
@@ -153,16 +154,16 @@ class CriticalSet:
 
     @property
     def uses_committee(self) -> bool:
-        """Whether a `CommitteeModel` predicts instead of the process.
+        """True if a `CommitteeModel` of three classifiers predicts instead of the Gaussian process alone.
 
-        It does if there are features, and both critical and other scenarios were run.
+        This requires features, and both critical and other scenarios among those that were run.
         """
         return self._committee is not None
 
     def _margin_and_z(self, encoded_points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the predictions ``margin`` and ``z`` at encoded points.
+        """Return two predictions at encoded points (m, e), (m,) each: the margin, and the deviate z.
 
-        ``margin`` is negative where the model predicts *critical*. ``z`` is the distance to the threshold in standard
+        The margin is negative if the model predicts *critical*. z is the distance to the threshold in standard
         deviations.
         """
         encoded_points = augment_points(self._source_model, encoded_points)
@@ -173,9 +174,10 @@ class CriticalSet:
         return mean, mean / np.hypot(deviation, self._process.kernel.noise)
 
     def _prediction_record(self) -> tuple[FloatArray, BoolArray]:
-        """Out-of-sample predictions of the scenarios chosen independently of scores, and whether these were critical.
+        """Return out-of-sample predictions for scenarios chosen independently of scores, and whether each was critical.
 
-        A prediction is the distance to the threshold in standard deviations.
+        These scenarios are the initial design and the audits (scenarios drawn at random as a check). A prediction is
+        the distance to the threshold in standard deviations.
         """
         if self._committee is not None:
             t = self._out_of_fold[self._is_initial_design]
@@ -189,10 +191,10 @@ class CriticalSet:
         return t, critical
 
     def _record_of_chosen(self) -> tuple[FloatArray, BoolArray] | None:
-        """Out-of-fold predictions by the committee of the scenarios chosen by scores, and whether these were critical.
+        """Return the committee's out-of-fold predictions for scenarios chosen by scores, and whether each was critical.
 
-        None without a committee: with predictions of such scenarios by a process, intervals held less often on the half
-        to choose with of benchmarks/intervals.py.
+        None without a committee: with the process's predictions of these scenarios, intervals held less often on the
+        half "choose" of benchmarks/intervals.py.
         """
         if self._committee is None:
             return None
@@ -200,9 +202,10 @@ class CriticalSet:
         return self._out_of_fold[chosen], self._critical[chosen]
 
     def _probability_of_surprises(self, scores: FloatArray, criterion: Criterion) -> float:
-        """Prior probability of surprises; it is small if the process predicts left-out scores well.
+        """Return the prior probability of surprises (critical scenarios to which no prediction points).
 
-        It does if the score is smooth, and scenarios are dense enough to follow it.
+        The probability is small if the process predicts left-out scores well. This requires a smooth score, and
+        scenarios that are dense enough to follow the score.
         """
         values = squash_around_threshold(scores, criterion, self._process.squash_scale)[self._is_initial_design]
         if len(values) < 2 or np.ptp(values) == 0.0:
@@ -212,14 +215,14 @@ class CriticalSet:
 
     @cached_property
     def _joint_points(self) -> tuple[IntArray, FloatArray]:
-        """Indices of the points for which critical sets are drawn jointly, and the fraction of space of each."""
+        """Indices of the points for which critical sets are drawn jointly, and the fraction of the space of each."""
         probability = np.where(self._known_outcome == 0.0, self._calibration.probability_of_critical(self._z), 0.0)
         return self._sample.subset(np.sqrt(probability * (1.0 - probability)) + _MIN_DEVIATION, _JOINT_POINTS)
 
     def _draw_standardized_errors(self, indices: IntArray, key: int) -> FloatArray:
         """Draw standardized errors of the predictions at some points, (m, draws), with the correlation of the process.
 
-        Draws with another `key` are independent.
+        Each `key` gives independent draws.
         """
         factor, deviation = self._process.joint_covariance(
             augment_points(self._source_model, self._sample.encoded_points[indices])
@@ -231,7 +234,7 @@ class CriticalSet:
 
     @cached_property
     def _samples(self) -> SetSamples:
-        """Draws of critical sets."""
+        """Critical sets drawn from the posterior."""
         return SetSamples(
             self._calibration,
             self._seed,
@@ -244,12 +247,12 @@ class CriticalSet:
 
     @cached_property
     def _joint_errors(self) -> FloatArray:
-        """Standardized errors at the points with joint draws, (m, draws)."""
+        """Standardized errors of the predictions at the points with joint draws, (m, draws)."""
         with single_threaded_blas():
             return self._draw_standardized_errors(self._joint_points[0], 4)
 
     def predict(self, points: FloatArray) -> BoolArray:
-        """Whether scenarios (n, d) are critical, (n,): as run, otherwise as predicted."""
+        """Return whether each scenario (n, d) is critical, (n,): as observed if it was run, otherwise as predicted."""
         if not len(points):
             return np.zeros(0, dtype=np.bool_)
         return _is_predicted_critical(
@@ -257,17 +260,17 @@ class CriticalSet:
         )
 
     def _outcomes_of(self, points: FloatArray) -> FloatArray:
-        """Outcome of scenarios, (n,): inf if run and critical, -inf if run and not critical, 0 if not run."""
+        """Return outcomes of scenarios, (n,): inf if run and critical, -inf if run and not critical, 0 if not run."""
         return np.array([self._outcome_by_key.get(key, 0.0) for key in row_keys(self._space.snap(points))])
 
     @cached_property
     def is_exhausted(self) -> bool:
-        """Whether all scenarios of a finite space were run; the fraction is then exact and nothing is missed."""
+        """True if all scenarios of a finite space were run; the fraction is then exact and nothing is missed."""
         return self._sample.is_complete and bool((self._known_outcome != 0.0).all())
 
     @property
     def has_both_classes(self) -> bool:
-        """Whether both critical and other scenarios were run."""
+        """True if both critical scenarios and other scenarios were run."""
         return bool(self._critical.any() and not self._critical.all())
 
     @property
@@ -297,10 +300,11 @@ class CriticalSet:
 
     @cached_property
     def critical_fraction(self) -> Estimate:
-        """Critical fraction of the space.
+        """Fraction of the space that is critical.
 
-        If all scenarios that ran have the same outcome, the model gives no interval. It then comes from the initial
-        design and the audits, which were chosen without a look at scores, and from the known outcomes.
+        If all scenarios that ran have the same outcome, the model gives no interval. The interval then comes from the
+        known outcomes, and from the scenarios that were not chosen by scores. These are the initial design and the
+        audits (scenarios drawn at random as a check).
         """
         if self.has_both_classes:
             return Estimate.from_draws(self._samples.critical_fraction)
@@ -315,9 +319,9 @@ class CriticalSet:
 
     @cached_property
     def missed_fraction(self) -> Estimate:
-        """Fraction of the critical set that is not found.
+        """Fraction of the critical set that was neither run nor predicted to be critical.
 
-        It is 1 while nothing critical was run, and 0 if all scenarios were run.
+        The fraction is 1 while nothing critical was run, and 0 if all scenarios were run.
         """
         if not self._critical.any():
             return Estimate(*[float(not self.is_exhausted)] * 3)
@@ -328,9 +332,9 @@ class CriticalSet:
 
     @cached_property
     def _drawn_fractions(self) -> tuple[FloatArray, FloatArray]:
-        """Draws of the fraction of the space that is critical and not found, and of all that is critical.
+        """Draws of two fractions of the space: critical but not found, and critical in total.
 
-        Empty draws are left out, since something is critical.
+        Draws without anything critical are left out, since something is critical.
         """
         critical = self._samples.critical_fraction
         with single_threaded_blas():
@@ -338,12 +342,13 @@ class CriticalSet:
         return not_found[critical > 0.0], critical[critical > 0.0]
 
     def missed_upper_bound(self, confidence: float = DEFAULT_CONFIDENCE) -> float:
-        """Fraction of the critical set that is missed at most, with this probability; 1 if there is no interval.
+        """Return an upper bound of the missed fraction of the critical set; 1 if there is no interval.
 
-        In contrast to `missed_fraction`, each draw may have one more critical region: a ball at a random place, in
-        which no scenario was run and to which no score points. Beforehand the odds that there is one are even, and all
-        sizes of `SURPRISE_RATES` are equally probable. Scenarios that were run make a size as much less probable as
-        they would have met it (`unexplored_fraction`).
+        The missed fraction is below the bound with the probability `confidence`. In contrast to `missed_fraction`, each
+        draw may have one more critical region: a ball at a random place, in which no scenario was run and to which no
+        score points. The prior odds of this region are even, and all sizes of `SURPRISE_RATES` are equally probable.
+        Each size is weighted by the probability that a region of this size escapes the scenarios that were run
+        (`unexplored_fraction`).
         """
         if self.missed_interval_unavailable or not self._critical.any():
             return float(not self.is_exhausted)
@@ -361,15 +366,15 @@ class CriticalSet:
     def max_fraction_in_empty_region(self) -> float:
         """Fraction of the critical set that an unexplored region may hold, in addition to `missed_fraction`.
 
-        The region is a ball in which no scenario was run. It is so large that around 95 % of random points, the largest
-        such ball is smaller. Its volume depends on where scenarios were run, not on predicted scores.
+        The region is a ball in which no scenario was run. Around 95 % of random points, the largest such ball is
+        smaller. The volume of the ball depends on where scenarios were run, not on predicted scores.
         """
         ball = float(np.quantile(self._empty_ball_fractions, 1.0 - _ESCAPE_PROBABILITY))
         return ball / max(ball + self.critical_fraction.value, 1e-12)
 
     @cached_property
     def audited_critical_fraction(self) -> Estimate:
-        """Critical fraction of the space by the audits alone."""
+        """Critical fraction of the space, from the audits (scenarios drawn at random as a check) alone."""
         return proportion_interval(int(self._audit_is_critical.sum()), len(self._audit_is_critical))
 
     @cached_property
@@ -379,26 +384,26 @@ class CriticalSet:
 
     @property
     def audited_missed_fraction(self) -> Estimate:
-        """Missed fraction of the critical set: the share of critical audits that are not predicted to be critical."""
+        """Missed fraction of the critical set: share of the critical audits (random checks) not predicted critical."""
         return proportion_interval(*self._missed_audits_and_total)
 
     @property
     def audited_missed_upper_bound(self) -> float:
-        """Upper bound of `audited_missed_fraction`, valid at all times.
-
-        It holds even if the decision to stop depends on the bound.
-        """
+        """Upper bound of `audited_missed_fraction` that holds even if the decision to stop depends on the bound."""
         return anytime_upper_bound(*self._missed_audits_and_total)
 
     def of_other_scores(self, points: FloatArray, scores: FloatArray, criterion: Criterion) -> CriticalSet:
-        """Estimate the critical set of other scores in the same space, to be compared with this one.
+        """Estimate the critical set of other scores in the same space, for a comparison with this set.
 
-        ValueError as by the constructor.
+        ValueError if there are fewer than 10 scores, or all are the same.
         """
         return CriticalSet(self._space, points, scores, criterion, self._seed, sample=self._sample)
 
     def fraction_inside(self, other: CriticalSet) -> Estimate:
-        """Fraction of this critical set that lies in `other`, the critical set of another score with the same seed."""
+        """Return the fraction of this critical set that lies in the critical set `other`.
+
+        `other` is an estimate for another score in the same space, with the same seed.
+        """
         with single_threaded_blas():
             both = self._samples.overlap_fraction(
                 other._samples, other._draw_standardized_errors(self._joint_points[0], 5), np.arange(N_DRAWS)
@@ -412,7 +417,7 @@ class CriticalSet:
         return Estimate.from_draws(fractions)
 
     def draw_overlap_with(self, other: CriticalSet) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Draw the fractions of the space that are critical here, in `other`, and in both, shape (draws,) each.
+        """Draw the fractions of the space that are critical in this set, in `other`, and in both, shape (draws,) each.
 
         `other` is an estimate from other scenarios of the same space, with the same seed. The draws of both sets are
         independent.
@@ -430,10 +435,11 @@ class CriticalSet:
         return fractions, other_fractions, np.clip(both, 0.0, np.minimum(fractions, other_fractions))
 
     def draw_changes_to(self, other: CriticalSet) -> FloatArray:
-        """Draw the critical fraction of `other` less that of this set, (pairs,).
+        """Draw the critical fraction of `other` minus the critical fraction of this set, (pairs,).
 
-        `other` is an estimate from other scenarios of the same space. Paired are independent draws whose calibrations
-        have nearly the same rank: both sets then have about as many surprises.
+        `other` is an estimate from other scenarios of the same space. Draws of both sets are independent. Two draws are
+        paired if their calibrations have nearly the same rank: both then have a similar rate of surprises (critical
+        scenarios to which no prediction points).
         """
         fractions, other_fractions = (
             samples.critical_fraction[samples.order_by_calibration] for samples in (self._samples, other._samples)
@@ -447,7 +453,7 @@ class CriticalSet:
     def draw_parameter_means(self) -> FloatArray:
         """Draw the mean of each parameter over the critical set, (draws, d), in the parameters' units.
 
-        NaN for a parameter with choices, and where a draw is empty.
+        NaN for a parameter with choices, and for draws without anything critical.
         """
         values = self._space.values(self._sample.points)
         means = np.full((N_DRAWS, self._space.dimension), np.nan)
@@ -466,7 +472,7 @@ class CriticalSet:
         return means
 
     def p_overlooked_region(self, size: float = MIN_REGION_FRACTION) -> float:
-        """Probability that some critical region contains no scenario that was run, according to the process.
+        """Return the probability that a critical region contains no scenario that was run, according to the process.
 
         `size` is the smallest fraction of the space that counts as a region. While nothing critical was run, the result
         is the probability for a region at a random place (`unexplored_fraction`).
@@ -490,10 +496,10 @@ class CriticalSet:
         return count / N_DRAWS
 
     def unexplored_fraction(self, size: float = MIN_REGION_FRACTION) -> float:
-        """Fraction of the space around which a ball of volume `size` contains none of the scenarios that were run.
+        """Return the fraction of the space around which a ball of volume `size` contains no scenario that was run.
 
-        A critical ball of this size at a random place contains no such scenario with this probability. No assumption
-        about the scores is needed. Parts of the ball outside the space do not count.
+        This is the probability that a critical ball of this size at a random place was missed. It needs no assumption
+        about the scores. `size` is a fraction of the space; parts of the ball outside the space do not count.
         """
         return float((self._empty_ball_fractions > size).mean())
 
@@ -504,10 +510,10 @@ class CriticalSet:
 
     @cached_property
     def _neighbour_graph(self) -> tuple[IntArray, int]:
-        """Pairs of neighbours, (2, E), among sampled points and critical regions, and the number of these regions.
+        """Graph of neighbours: pairs of nodes, (2, E), and the number of critical regions.
 
-        Critical scenarios that were run are connected in every draw, so each of their connected regions is a single
-        node.
+        The nodes are sampled points, followed by critical regions. A region consists of neighbouring critical scenarios
+        that were run. These are connected in every draw, so each region is a single node.
         """
         sample = self._sample.encoded_points[self._joint_points[0]]
         count = len(sample)
@@ -525,7 +531,7 @@ class CriticalSet:
 
 
 def _neighbour_pairs(points: FloatArray) -> IntArray:
-    """Pairs of neighbouring points, (2, E), of points (n, e)."""
+    """Return pairs of neighbouring points, (2, E) indices, for points (n, e)."""
     if points.shape[1] == 1:
         # The two nearest points may lie on the same side, so connect each point with the next one instead.
         order = np.argsort(points[:, 0], kind="stable")
@@ -536,7 +542,7 @@ def _neighbour_pairs(points: FloatArray) -> IntArray:
 
 
 def _label_components(edges: IntArray, count: int) -> IntArray:
-    """Label of the connected component of each of `count` nodes, (count,); `edges` are pairs of nodes."""
+    """Return the label of the connected component of each node, (count,); `edges` (2, E) are pairs of nodes."""
     graph = coo_array((np.ones(edges.shape[1]), (edges[0], edges[1])), shape=(count, count))
     return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
 

@@ -1,4 +1,4 @@
-"""Features of recordings, predicted by Gaussian processes."""
+"""Prediction of features of recordings (numbers that describe what happened) by Gaussian processes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from cornercase.evidence.gp._kernel import Floats, MaternKernel, evenly_spaced_i
 from cornercase.evidence.gp._posterior import ExactPosterior
 
 _MAX_NOISE: Final = 0.5
-_TOLERANCE: Final = 1e-4  # of the search for a kernel; a closer one predicts features no better
+_TOLERANCE: Final = 1e-4  # of the search for a kernel; a smaller tolerance predicts features no better
 _MIN_SPREAD: Final = 1e-9  # standard deviation up to which a feature is constant
 # Fraction of the variance that is added for points close to each other; `ExactPosterior` adds 1e-10 itself.
 _JITTER: Final = 1e-8 - 1e-10
@@ -34,8 +34,9 @@ class PerBranchFeatureModels:
     process of their own.
 
     `branches` (n,) is the branch of each scenario. `kernels` maps each branch, and None for all scenarios, to the
-    kernels of `FeatureModels`; missing ones are learned, from at most `max_kernel_scenarios`. `subset` are the indices
-    of the scenarios that the processes use, by default all; a branch with fewer than 8 of them uses all of its own.
+    kernels of `FeatureModels`; missing kernels are learned from at most `max_kernel_scenarios`. `subset` holds the
+    indices of scenarios that the processes use, by default all. A branch with fewer than 8 scenarios in `subset` uses
+    all scenarios of the branch.
     `leave_one_out` (n, g) holds leave-one-out predictions: first from all scenarios, then from each branch. For
     scenarios outside of a branch, it holds the ordinary prediction of the branch.
     """
@@ -72,19 +73,19 @@ class PerBranchFeatureModels:
         self.leave_one_out = np.hstack(left_out)
 
     def predict_features(self, points: FloatArray) -> FloatArray:
-        """Predict the standardized features at m points, without constant features, (m, g)."""
+        """Predict the standardized features at points (m, e), without constant features, (m, g)."""
         return np.hstack([part.predict_features(points) for part in self._models])
 
 
 class FeatureModels:
     """Gaussian processes that predict features: one per feature, each with its own Matérn kernel (5/2).
 
-    Some features depend on all parameters and jump. Others hardly do: where the other entity is at a given time depends
-    on its own parameters alone. So each feature has its own length scales and noise.
+    Some features depend on all parameters and jump. Other features depend on few parameters: where an entity is at a
+    given time often depends on this entity's parameters alone. So each feature has its own length scales and noise.
 
     `points` (n, e) are encoded, `features` (n, f) are finite. `kernels` has one kernel per feature, None for a constant
-    feature; by default they are learned, from at most `max_kernel_scenarios`. `subset` are the indices of the
-    scenarios that the processes use, by default all. Memory grows with the square of their number. `leave_one_out`
+    feature; by default they are learned from at most `max_kernel_scenarios`. `subset` has the indices of the scenarios
+    that the processes use, by default all. Memory grows with the square of their number. `leave_one_out`
     (n, g) holds the standardized leave-one-out predictions, without constant features.
 
     Source: C. E. Rasmussen, C. K. I. Williams, "Gaussian Processes for Machine Learning" (2006), equations 5.8, 5.9 and
@@ -126,7 +127,7 @@ class FeatureModels:
         self.leave_one_out[used] = leave_one_out
 
     def predict_features(self, points: FloatArray) -> FloatArray:
-        """Predict the standardized features at m points, without constant features, (m, g)."""
+        """Predict the standardized features at points (m, e), without constant features, (m, g)."""
         predicted = np.empty((len(points), len(self._kernels_and_weights)))
         step = max(_CACHED_COVARIANCES // max(len(self._points), 1), 1)
         with single_threaded_blas():

@@ -19,8 +19,8 @@ class Estimate:
     Attributes
     ----------
     value, low, high : float
-        Mean, 5 % and 95 % quantile. The interval is extended to the mean if that lies outside, as for a quantity that
-        is nearly always 0.
+        Mean, 5 % and 95 % quantile. If the mean lies outside the interval, the interval is extended to the mean, for
+        example for a quantity that is nearly always 0.
 
     Examples
     --------

@@ -16,7 +16,7 @@ _PATIENCE: Final = 2  # stop after this many in a row that are no better
 # Pseudo-points with isotropic scatter that are added to each component, for each dimension. Without them, few points
 # make a component degenerate, and in many dimensions too narrow. Chosen on the half "choose" of benchmarks/rare.py.
 _PRIOR_POINTS_PER_DIMENSION: Final = 2.0
-# Their variance is that of the component, but at least this fraction of that of all components.
+# Variance of pseudo-points: the variance of the component, but at least this fraction of that of all components.
 _MIN_POOLED_FRACTION: Final = 0.1
 # Heavy tails keep the weights of single points small. Degrees of freedom are as many as dimensions, but at least this:
 # in many dimensions nearly all points of a normal distribution have the same distance from its mean, and heavier tails
@@ -40,12 +40,12 @@ class TMixture:
 
     @classmethod
     def normal_around_zero(cls, dimension: int, deviation: float = 1.0) -> Self:
-        """Normal distribution with mean 0 and the same standard deviation in all directions."""
+        """Make a normal distribution with mean 0 and the same standard deviation in all directions."""
         return cls(np.ones(1), np.zeros((1, dimension)), deviation * np.eye(dimension)[None], np.array([np.inf]))
 
     @classmethod
     def from_parts(cls, parts: list[tuple[float, TMixture]]) -> Self:
-        """Mixture of several mixtures; `parts` are pairs of weight and mixture."""
+        """Combine several mixtures into a single mixture; `parts` are pairs of weight and mixture."""
         shares = np.concatenate([weight * part.weights for weight, part in parts])
         return cls(
             shares / shares.sum(),
@@ -111,11 +111,11 @@ class TMixture:
         return mixture
 
     def log_density(self, points: FloatArray, as_normal: bool = False) -> FloatArray:
-        """Logarithm of the density at points (n, d), shape (n,); `as_normal` makes each component normal."""
+        """Return the logarithm of the density at points (n, d), shape (n,); `as_normal` makes each component normal."""
         return np.asarray(logsumexp(self._component_log_densities(points, as_normal), axis=1))
 
     def _component_log_densities(self, points: FloatArray, as_normal: bool = False) -> FloatArray:
-        """Logarithm of each component's contribution to the density, shape (n, K)."""
+        """Return the logarithm of each component's contribution to the density at points (n, d), shape (n, K)."""
         dimension = points.shape[1]
         offsets = (points[None] - self.means[:, None]) @ np.linalg.inv(self.scale_roots).transpose(0, 2, 1)
         square = (offsets**2).sum(-1).T

@@ -10,13 +10,13 @@ from cornercase.study._criterion import Criterion
 
 
 class SourceStudyModel:
-    """Predicts scores from another study, for example of another driver or simulator, or with a coarser time step.
+    """Model of the scores of another study, for example with another driver, another simulator or a coarser time step.
 
     A boundary process of the other study's scores (`fit_boundary_process`) predicts how far each scenario is from the
     threshold; 0 is the threshold. A process of the new scores uses this prediction as an additional coordinate
-    (`fit_boundary_process` with ``has_prediction``). If the other study predicts the scores, the new process varies
-    along this coordinate and little along the others. So few scenarios suffice to learn the relation. If it does not
-    predict them, the coordinate is dropped.
+    (`fit_boundary_process` with ``has_prediction``). If the other study predicts the new scores, the new process varies
+    along this coordinate and little along the other coordinates. Then few scenarios suffice to learn the relation. If
+    the other study does not predict the new scores, the coordinate is dropped.
 
     `points` (n, e) are scenarios of the other study, encoded in the new space. `scores` (n,) are finite, not all the
     same, and lower is more critical.
@@ -31,15 +31,18 @@ class SourceStudyModel:
         self.process, self._criterion = fit_boundary_process(points, scores, criterion), criterion
 
     def augment(self, points: FloatArray) -> FloatArray:
-        """Append the other study's prediction to encoded points (m, e) as a coordinate, (m, e + 1)."""
+        """Append the other study's prediction to encoded points (m, e) as another coordinate, (m, e + 1)."""
         return np.column_stack([points, self.process.predict(points)[0]])
 
     def improves_prediction(self, points: FloatArray, scores: FloatArray) -> bool:
-        """Whether the other study improves the prediction of the scores, by the criterion of `fit_boundary_process`."""
+        """Return whether the other study improves the prediction of new scores (n,) at encoded points (n, e).
+
+        The criterion is that of `fit_boundary_process`.
+        """
         process = fit_boundary_process(self.augment(points), scores, self._criterion, has_prediction=True)
         return bool(np.isfinite(process.kernel.length_scales[-1]))
 
 
 def augment_points(source_model: SourceStudyModel | None, points: FloatArray) -> FloatArray:
-    """Append another study's prediction to encoded points; without `source_model`, return them unchanged."""
+    """Append another study's prediction to encoded points (m, e); without `source_model`, return them unchanged."""
     return points if source_model is None else source_model.augment(points)

@@ -1,4 +1,4 @@
-"""Out-of-sample predictions of scores, by a process that has seen them neither as values nor for its kernel."""
+"""Out-of-sample predictions of scores by a Gaussian process that was fitted without these scores."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from cornercase.evidence.gp._posterior import MAX_EXACT_VALUES
 from cornercase.evidence.gp._process import GaussianProcess, squash_around_threshold
 from cornercase.study._criterion import Criterion
 
-# Values per dimension up to which the kernel overfits, and number of folds.
+# Number of values per dimension up to which the kernel overfits, and number of folds.
 _OVERFIT_PER_DIMENSION: Final = 40
 _N_FOLDS: Final = 5
 
@@ -23,11 +23,12 @@ def cross_validate_scores(
     criterion: Criterion,
     indices: IntArray | None = None,
 ) -> tuple[FloatArray, FloatArray]:
-    """Predict each score from all others: mean and standard deviation as in `GaussianProcess.leave_one_out`.
+    """Predict each squashed score from all other scores; return means and standard deviations, (k,) each.
 
-    `indices` selects the scores to predict. With few scores per dimension the length scales of the kernel overfit, and
-    leave-one-out predictions are too good. In this case each fifth of the scores is predicted with a kernel learned
-    from the other four fifths. `process` is the fitted process of all scores (`fit_boundary_process`).
+    Scores are squashed by `squash_around_threshold`. `indices` selects the scores to predict, by default all. `process`
+    is the fitted process of all scores (`fit_boundary_process`). With few scores per dimension the length scales of its
+    kernel overfit, and leave-one-out predictions are too good. In this case each fifth of the scores is predicted with
+    a kernel learned from the other four fifths.
     """
     count, dims = points.shape
     if count > min(_OVERFIT_PER_DIMENSION * dims, MAX_EXACT_VALUES):

@@ -92,9 +92,9 @@ class Probability:
 
 
 def probability_from_counts(met: int, scenarios: int) -> Probability:
-    """Probability of an event from scenarios drawn from the distribution itself, with the Clopper-Pearson interval.
+    """Estimate the probability of an event by plain Monte Carlo, with the Clopper-Pearson interval.
 
-    The event occurred in `met` of `scenarios` scenarios.
+    The event occurred in `met` of `scenarios` scenarios, which were drawn from the distribution of the parameters.
     """
     value = met / scenarios if scenarios else 0.0
     bounds = _bounds_of_both_levels(lambda tail: clopper_pearson_interval(met, scenarios, tail))
@@ -105,14 +105,14 @@ def probability_from_counts(met: int, scenarios: int) -> Probability:
 
 
 def probability_from_weights(weights: FloatArray, met: BoolArray, common_error: float = 0.0) -> Probability:
-    """Probability of an event from independent scenarios of a proposal distribution (importance sampling).
+    """Estimate the probability of an event by importance sampling, from scenarios of a proposal distribution.
 
-    `weights` (n,) are the density of the distribution over that of the proposal. `met` (n,) is whether the event
-    occurred. `common_error` is the relative standard error that all weights have in common.
+    `weights` (n,) are the density of the parameters' distribution over the density of the proposal. `met` (n,) marks
+    the scenarios in which the event occurred. `common_error` is the relative standard error that all weights have in
+    common.
 
     The interval is computed for the logarithm, since the estimate is skewed: mostly slightly too low, rarely much too
-    high. The quantiles are those of Student's t; its degrees of freedom are the effective number of occurrences less
-    one.
+    high. It uses quantiles of Student's t; the degrees of freedom are the effective number of occurrences minus 1.
     """
     parts = np.where(met, weights, 0.0)
     total, count = float(parts.sum()), len(parts)
@@ -131,11 +131,10 @@ def probability_from_weights(weights: FloatArray, met: BoolArray, common_error: 
 
 
 def probability_from_enumeration(probabilities: FloatArray, met: BoolArray, total: float | None = None) -> Probability:
-    """Probability of an event from all scenarios of a finite space, without error; from a part of them, bounds.
+    """Compute the probability of an event from all scenarios of a finite space, or bounds from a part of them.
 
-    `probabilities` (n,) are those of the scenarios that were run. `total` is the sum over all scenarios of the space;
-    by default all were run. The bounds hold whatever the outcomes of the other scenarios are; the value is in the
-    middle.
+    `probabilities` (n,) belong to the scenarios that were run. `total` is the sum over all scenarios of the space; None
+    if all were run. The bounds hold whatever the outcomes of the other scenarios are; the value is in the middle.
     """
     normalization = float(probabilities.sum()) if total is None else total
     weights = probabilities / normalization
@@ -152,10 +151,10 @@ def probability_from_enumeration(probabilities: FloatArray, met: BoolArray, tota
 
 
 def conditional_probability(both: Probability, condition: Probability) -> Probability | None:
-    """Conditional probability, from the probability `both` of both events and that of the `condition`.
+    """Estimate a conditional probability: the probability of both events over the probability of the condition.
 
-    The two are estimated from different scenarios. The interval is computed for the logarithm. None if one of the two
-    did not occur.
+    The two probabilities come from different scenarios. The interval is computed for the logarithm. None if either
+    probability has no standard error, for example because the event did not occur.
     """
     if both.error is None or condition.error is None:
         return None
@@ -170,13 +169,16 @@ Bounds = tuple[float, float, float, float]
 
 
 def _bounds_of_both_levels(interval: Callable[[float], tuple[float, float]]) -> Bounds:
-    """Bounds of the 95 % and 90 % intervals; `interval` gives the bounds for a tail probability."""
+    """Return the bounds of the 95 % and 90 % intervals; `interval` computes two bounds for a tail probability."""
     wide, narrow = (0.5 * (1.0 - level) for level in _LEVELS)
     return *interval(wide), *interval(narrow)
 
 
 def _log_normal_bounds(value: float, error: float, effective: float) -> Bounds:
-    """Bounds of the 95 % and 90 % intervals; `error` is that of the logarithm, `effective` a number of scenarios."""
+    """Return the bounds of the 95 % and 90 % intervals around `value`, computed for the logarithm.
+
+    `error` is the standard error of the logarithm, `effective` the effective sample size.
+    """
 
     def interval_for_tail(tail: float) -> tuple[float, float]:
         # Limited, so that the exponential does not overflow.

@@ -15,9 +15,9 @@ _CONFIDENCE: Final = 0.9
 
 
 def proportion_interval(hits: int, draws: int) -> Estimate:
-    """Clopper-Pearson 90 % interval of a proportion, from `hits` of `draws` random draws.
+    """Estimate a proportion, with the Clopper-Pearson 90 % interval, from `hits` of `draws` random draws.
 
-    Without draws it is 0 to 1. Without a hit the upper end is about 3 / `draws` (the rule of three).
+    Without draws the interval is 0 to 1. Without a hit the upper end is about 3 / `draws` (the rule of three).
     """
     if not draws:
         return Estimate(0.5, 0.0, 1.0)
@@ -25,12 +25,12 @@ def proportion_interval(hits: int, draws: int) -> Estimate:
 
 
 def anytime_upper_bound(hits: int, draws: int, error_probability: float = 0.05) -> float:
-    """Upper bound of a proportion that is valid at all times, even if the decision to stop depends on the bound.
+    """Return an upper bound of a proportion that holds even if the decision to stop depends on the bound.
 
     The probability that the true proportion ever exceeds the bound is at most `error_probability`. The bound compares
-    the likelihood of a proportion with that of a Beta(1/2, 1/2) mixture. The ratio exceeds 1 / `error_probability` at
-    any time with a probability of at most `error_probability`: H. Robbins, "Statistical methods related to the law of
-    the iterated logarithm", Annals of Mathematical Statistics 41 (1970).
+    the likelihood of a proportion with the likelihood of a Beta(1/2, 1/2) mixture. The ratio exceeds 1 /
+    `error_probability` at any time with a probability of at most `error_probability`: H. Robbins, "Statistical methods
+    related to the law of the iterated logarithm", Annals of Mathematical Statistics 41 (1970).
     """
     if not draws or hits == draws:
         return 1.0

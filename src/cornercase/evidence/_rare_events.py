@@ -18,15 +18,15 @@ from cornercase.study._criterion import Criterion
 _MIN_QUANTILE, _MAX_QUANTILE = 1e-16, 1.0 - 1.2e-16
 # Fraction of the learning scenarios in the first round, number of later rounds, and least size of a round.
 _FIRST_ROUND_FRACTION, _ROUNDS, _MIN_ROUND_SIZE = 0.2, 12, 20
-# Effective number of scenarios per coefficient of a component's mean that a proposal is fitted to, and the multiple of
-# it, in events, from which the learning ends early.
+# A proposal is fitted to this effective number of scenarios per coefficient of a component's mean. Learning ends early
+# once the effective number of events is this multiple of the number of scenarios needed for a fit.
 _PER_COEFFICIENT, _EVENTS_FACTOR = 10, 10
 # Standard deviations of the wide components, which search unknown regions; their fraction of a round, and at the end.
 _WIDE_DEVIATIONS, _WIDE_FRACTION, _FINAL_WIDE_FRACTION = (1.5, 2.5), 0.25, 0.15
 # Fractions of the frozen proposal for the parameters' distribution and for the proposals of earlier rounds.
 _FINAL_PLAIN_FRACTION, _FINAL_EARLIER_FRACTION = 0.05, 0.2
-# From these dimensions on, fractions of a round, and at the end, for the point where a linear model of the scores meets
-# the event, and the number of scenarios that give its distance.
+# Least number of dimensions for a component around the point where a linear model of the scores meets the event. This
+# component's fraction of a round, and at the end; and the number of scenarios that give the distance of the point.
 _MANY_DIMENSIONS = 8
 _LINEAR_FRACTION, _FINAL_LINEAR_FRACTION, _DISTANCE_SCENARIOS = 0.25, 0.1, 10
 _MAX_VALUES_WITHOUT_DIRECTION: Final = 2
@@ -39,16 +39,16 @@ _HARDLY_ANY: Final = (
 
 
 class ImportanceSampling:
-    """Draws scenarios among which rare events are frequent, and weights the scenarios accordingly.
+    """Importance sampling: draws scenarios among which rare events are frequent, and weights them accordingly.
 
     The unit cube is mapped to a space in which the parameters are standard normal. The first scenarios follow this
-    normal distribution. Then, round by round, a mixture of t distributions is fitted to weighted scenarios nearest to
-    the event, as many as are needed to learn it. The next round is drawn from the mixture and from wide normal
-    distributions; from 8 dimensions on, also around the point where a linear model of the scores meets the event. When
-    events have occurred often enough, the proposal is frozen. The frozen proposal includes parts of all earlier
-    mixtures, of the other distributions of a round and of the distribution of the parameters. Later scenarios
-    are independent, so the mean of the weights of the events is an unbiased estimate of their probability, whatever was
-    learned before. The draws depend only on the arguments and the recorded results.
+    normal distribution. Then, round by round, a mixture of t distributions is fitted to the weighted scenarios nearest
+    to the event. The next round is drawn from the mixture and from wide normal distributions. With 8 dimensions or
+    more, it is also drawn around the point where a linear model of the scores meets the event. When events have
+    occurred often enough, the proposal is frozen. The frozen proposal includes parts of all earlier mixtures, of the
+    other distributions of a round and of the distribution of the parameters. Later scenarios are independent, so the
+    mean of the weights of the events is an unbiased estimate of their probability, whatever was learned before. The
+    draws depend only on the arguments and the recorded results.
 
     Scores that take no more than two values give no direction towards an event. If the first round has such scores, and
     there is no first guess, all scenarios follow the distribution of the parameters (plain Monte Carlo).
@@ -85,9 +85,9 @@ class ImportanceSampling:
 
     @property
     def is_plain(self) -> bool:
-        """Whether all scenarios are drawn from the distribution of the parameters itself.
+        """True if all scenarios are drawn from the distribution of the parameters itself (plain Monte Carlo).
 
-        That is so if the scores take too few values to show in which direction an event lies.
+        This happens if the scores take too few values to show in which direction an event lies.
         """
         return self._is_plain
 
@@ -128,9 +128,10 @@ class ImportanceSampling:
         self._rounds += 1
 
     def importance_weights(self, points: FloatArray) -> FloatArray:
-        """Weights (n,) of scenarios that were drawn with the frozen proposal; 1 on average.
+        """Return the weights (n,) of scenarios that were drawn with the frozen proposal; they are 1 on average.
 
-        A weight is the density of the parameters' distribution over that of the proposal, both within the constraints.
+        A weight is the density of the parameters' distribution over the density of the proposal, both within the
+        constraints.
         """
         normal = _to_standard_normal(points)
         factor, _ = self._constraint_factor_and_error()
@@ -142,14 +143,15 @@ class ImportanceSampling:
     def common_weight_error(self) -> float:
         """Relative standard error that all weights have in common.
 
-        It comes from the estimated fraction of draws within the constraints.
+        The error comes from the estimated fraction of draws within the constraints.
         """
         return self._constraint_factor_and_error()[1]
 
     def _constraint_factor_and_error(self) -> tuple[float, float]:
-        """Factor of the weights that is due to constraints, and its relative standard error.
+        """Return the factor of all weights that is due to constraints, and its relative standard error.
 
-        The factor is the fraction of the proposal within the constraints over that of the distribution.
+        The factor is the fraction of the proposal within the constraints over the same fraction of the parameters'
+        distribution.
         """
         if not self._space.declarations:
             return 1.0, 0.0
@@ -166,7 +168,7 @@ class ImportanceSampling:
         return self._factor
 
     def _learn_proposal(self) -> None:
-        """Fit the next proposal to the scenarios nearest to each event."""
+        """Fit the next proposal to the scenarios nearest to each event; freeze the proposal if enough is learned."""
         count = len(self._points)
         proposals = [np.log(n / count) + mixture.log_density(self._points) for n, mixture in self._drawn]
         log_weights = self._plain_distribution.log_density(self._points) - np.logaddexp.reduce(proposals, axis=0)
@@ -204,14 +206,16 @@ class ImportanceSampling:
         self._earlier.append(new)
 
     def _fit_linear_model(self, event: int) -> list[TMixture]:
-        """Normal distribution around the likeliest point of an event by a linear model of the scores; at most one.
+        """Fit a normal distribution around the likeliest point of an event by a linear model of the scores.
 
-        There is none with fewer than 8 dimensions, where the mixture is learned soon enough.
+        The list has at most one distribution. It is empty with fewer than 8 dimensions, because the mixture is learned
+        soon enough, and with too few scenarios.
 
-        While the event has not occurred, the point is where the model reaches the lowest score. Least squares over the
-        half of the scenarios with the lowest scores give its direction, scenarios with scores nearest to the event its
-        distance. That is the design point of the first-order reliability method: A. M. Hasofer, N. C. Lind, "Exact and
-        invariant second-moment code format", Journal of the Engineering Mechanics Division 100 (1974).
+        While the event has not occurred, the point is where the model reaches the lowest score. The direction of the
+        point comes from least squares over the half of the scenarios with the lowest scores. The distance comes from
+        the scenarios with scores nearest to the event. This is the design point of the first-order reliability method:
+        A. M. Hasofer, N. C. Lind, "Exact and invariant second-moment code format", Journal of the Engineering Mechanics
+        Division 100 (1974).
         """
         finite, dimension = np.isfinite(self._scores), self._space.dimension
         points, scores, met = self._points[finite], self._scores[finite], self._met[finite, event]
@@ -249,10 +253,10 @@ class ImportanceSampling:
 def initial_proposal(
     space: ParameterSpace, points: FloatArray, scores: FloatArray, criterion: Criterion, seed: int
 ) -> TMixture | None:
-    """Proposal for critical scenarios, from a Gaussian process of scenarios that were run; None if too little is known.
+    """Fit a proposal for critical scenarios to a Gaussian process of known scores; None if too little is known.
 
-    It is a distribution in the space in which the parameters are standard normal. `scores` are lower where more
-    critical; a failed scenario is NaN.
+    The proposal is a distribution in the space in which the parameters are standard normal. `scores` are lower if more
+    critical, and NaN for a failed scenario.
     """
     try:
         points, scores = require_enough_scores(points, scores)

@@ -14,15 +14,16 @@ from cornercase.scenario import ParameterSpace
 
 _MAX_LEFT_OUT: Final = 4096  # greatest number of values that are left out in turn
 MIN_PREDICTED: Final = 0.1
-"""Least predicted fraction of the variance for conclusions from the process to be meaningful."""
+"""Least fraction of the variance that a process must predict for conclusions from it."""
 
 
 @dataclass(frozen=True, eq=False)
 class ScoreSurrogate:
-    """Process of the scores of some scenarios, less their mean and divided by their standard deviation.
+    """Gaussian process of the scores of some scenarios, minus their mean and divided by their standard deviation.
 
-    `points` (n, e) are encoded and `values` (n,) standardized: those that the process was conditioned on. `predicted`
-    is the fraction of the variance that the process predicts by leave-one-out, of at most 4,096 scenarios.
+    The process is conditioned on `values` (n,), the standardized scores, at `points` (n, e), which are encoded. `mean`
+    and `deviation` belong to the scores. `predicted` is the fraction of the variance that the process predicts by
+    leave-one-out, from at most 4,096 scenarios.
     """
 
     space: ParameterSpace
@@ -34,14 +35,17 @@ class ScoreSurrogate:
     predicted: float
 
     def condense(self, max_points: int) -> ScoreSurrogate:
-        """Same kernel and scenarios, but predictions need at most `max_points` points; `predicted` is theirs."""
+        """Return a surrogate with the same kernel and scenarios, whose predictions need at most `max_points` points.
+
+        `predicted` is that of the new surrogate.
+        """
         process = self.process.condense(self.points, self.values, max_points)
         predicted = _predicted_fraction(process, self.values)
         return ScoreSurrogate(self.space, process, self.points, self.values, self.mean, self.deviation, predicted)
 
     @property
     def is_meaningful(self) -> bool:
-        """Whether enough of the variance is predicted to conclude something."""
+        """True if the process predicts enough of the variance of the scores (10 %) for conclusions."""
         return self.predicted >= MIN_PREDICTED
 
 

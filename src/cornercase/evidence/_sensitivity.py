@@ -33,7 +33,7 @@ LITTLE_INFLUENCE: Final = 0.05
 
 @dataclass(frozen=True, repr=False)
 class Sensitivity:
-    """Sensitivity of a score to the parameters: the fraction of the variance that comes from each.
+    """Sensitivity of a score to the parameters: the fraction of the variance that comes from each parameter.
 
     Attributes
     ----------
@@ -45,11 +45,11 @@ class Sensitivity:
     first_interval, total_interval : tuple of (float, float)
         90 % credible intervals of these indices, from draws of the process.
     predicted : float
-        Fraction of the variance of the scores that the process predicts by leave-one-out, of at most 4,096 scenarios:
-        how reliable the indices are.
+        Fraction of the variance of the scores that the process predicts by leave-one-out, from at most 4,096 scenarios.
+        The indices are as reliable as this fraction is near 1.
     total_by_trees : tuple of float
-        Total index by extremely randomised trees of the scores, which follow jumps. A smooth process can take a
-        parameter by which the score jumps for one without influence.
+        Total index by extremely randomised trees of the scores, which follow jumps. If the score jumps along a
+        parameter, a smooth process can miss the influence of this parameter.
 
     Examples
     --------
@@ -71,17 +71,18 @@ class Sensitivity:
 
     @property
     def is_meaningful(self) -> bool:
-        """Whether enough of the variance is predicted for the indices to be meaningful."""
+        """True if the process predicts enough of the variance (10 %) for the indices to be meaningful."""
         return self.predicted >= MIN_PREDICTED
 
     def table(self) -> pd.DataFrame:
-        """Make a table of the parameters.
+        """Make a table of the sensitivity indices of all parameters.
 
         Returns
         -------
         DataFrame
-            One row per parameter, indexed by its name, the most influential first: ``total`` and ``first``, and the
-            bounds of their 90 % intervals, ``total low``, ``total high``, ``first low`` and ``first high``.
+            One row per parameter, indexed by its name, the most influential first. The columns are the indices,
+            ``total`` and ``first``, and the bounds of their 90 % intervals, ``total low``, ``total high``,
+            ``first low`` and ``first high``.
         """
         import pandas as pd
 
@@ -107,9 +108,9 @@ class Sensitivity:
 
     @property
     def uninfluential_parameters(self) -> tuple[str, ...]:
-        """Parameters whose total index is below 0.05, with its interval by the process and by trees.
+        """Parameters with little influence: total index below 0.05, both by trees and at the interval's upper bound.
 
-        Empty if hardly anything is predicted.
+        Empty if hardly any variance is predicted.
         """
         both = zip(self.names, self.total_interval, self.total_by_trees, strict=True)
         is_little = (name for name, (_, high), by_trees in both if max(high, by_trees) < LITTLE_INFLUENCE)
@@ -117,11 +118,11 @@ class Sensitivity:
 
 
 def estimate_sensitivity(space: ParameterSpace, points: FloatArray, scores: FloatArray, seed: int = 0) -> Sensitivity:
-    """Sobol' indices of the mean of a Gaussian process of the scores, with intervals from draws of the process.
+    """Estimate Sobol' indices of a score from a Gaussian process, with intervals from draws of the process.
 
-    Parameters vary independently over their ranges, regardless of constraints. `points` (n, d) are in the unit cube.
-    `scores` (n,) may be in either orientation, and are NaN for a failed scenario. ValueError if there are fewer than 10
-    scores, or all are equal.
+    The indices are those of the mean of the process. Parameters vary independently over their ranges, regardless of
+    constraints. `points` (n, d) are in the unit cube. `scores` (n,) may be lower or higher if more critical, and are
+    NaN for a failed scenario. ValueError if there are fewer than 10 scores, or all are equal.
 
     Source: I. M. Sobol', "Global sensitivity indices for nonlinear mathematical models and their Monte Carlo
     estimates", Mathematics and Computers in Simulation 55 (2001); A. Saltelli et al., "Variance based sensitivity
@@ -131,7 +132,7 @@ def estimate_sensitivity(space: ParameterSpace, points: FloatArray, scores: Floa
 
 
 def sensitivity_of_surrogate(surrogate: ScoreSurrogate, seed: int = 0) -> Sensitivity:
-    """Same as `estimate_sensitivity`, of a process that is fitted already."""
+    """Estimate Sobol' indices as `estimate_sensitivity` does, from a Gaussian process that is already fitted."""
     space, process, predicted = surrogate.space, surrogate.process, surrogate.predicted
 
     if space.dimension == 1:
@@ -158,7 +159,7 @@ def sensitivity_of_surrogate(surrogate: ScoreSurrogate, seed: int = 0) -> Sensit
 def _sobol_indices(
     space: ParameterSpace, predict: Callable[[FloatArray], FloatArray], n_samples: int, seed: int
 ) -> Any:
-    """First-order and total Sobol' indices of a function of encoded points."""
+    """Estimate the first-order and total Sobol' indices of a function of encoded points."""
     from scipy.stats import sobol_indices, uniform
 
     distributions: Any = [uniform()] * space.dimension
@@ -171,7 +172,7 @@ def _sobol_indices(
 
 
 def _fit_trees(surrogate: ScoreSurrogate, seed: int) -> ExtraTreesRegressor:
-    """Fit extremely randomised trees to the scores that the process was fitted to, or to 1,000 of very many.
+    """Fit extremely randomised trees to the scores of a surrogate, or to 1,000 of very many scores.
 
     Source: P. Geurts, D. Ernst, L. Wehenkel, "Extremely randomized trees", Machine Learning 63 (2006).
     """
@@ -182,10 +183,10 @@ def _fit_trees(surrogate: ScoreSurrogate, seed: int) -> ExtraTreesRegressor:
 
 
 def _index_deviations(space: ParameterSpace, process: GaussianProcess, seed: int) -> tuple[FloatArray, FloatArray]:
-    """Deviations of the Sobol' indices of draws of a process from the indices of its mean, (draws, d) each.
+    """Return how much Sobol' indices of draws of a process deviate from the indices of its mean, (draws, d) each.
 
-    Returns those of the first-order and of the total indices. Both are computed at the same few points, so that the
-    sampling error cancels.
+    The first result is for first-order indices, the second for total indices. All indices are computed at the same few
+    points, so that the sampling error cancels.
     """
     dims = space.dimension
     count = 1 << ((_N_POINTS // (dims + 2)).bit_length() - 1)

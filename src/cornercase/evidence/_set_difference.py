@@ -1,4 +1,4 @@
-"""Differences between two critical sets of one space."""
+"""Differences between two critical sets of the same parameter space."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from cornercase.evidence._interval_estimate import Estimate
 
 @dataclass(frozen=True)
 class SetDifference:
-    """Difference between two critical sets of one space.
+    """Difference between two critical sets of the same parameter space.
 
     Attributes
     ----------
     old, new : Estimate
         Critical fractions of the space.
     change : Estimate
-        New critical fraction less the old one.
+        New critical fraction minus the old one.
     gained, lost : Estimate
         Fractions of the space that are critical in the new set only, and in the old set only.
     middles : tuple of (Estimate, Estimate, Estimate) or None, length d
-        For each parameter its mean over the old set, over the new set, and the difference, in the parameter's unit.
-        None for a parameter with choices.
+        For each parameter: mean over the old set, mean over the new set, and the difference of both, in the
+        parameter's unit. None for a parameter with choices.
     p : float
-        Two-sided tail probability of no change: twice the smaller of the fractions of the draws in which the critical
-        fraction grows, or shrinks. At least 1 / draws.
+        Two-sided tail probability of no change. This is twice the share of the draws in which the critical fraction
+        does not grow, or does not shrink, whichever share is smaller. At least 1 / draws.
 
     Examples
     --------
@@ -53,7 +53,7 @@ class SetDifference:
         Parameters
         ----------
         old, new : CriticalSet
-            Of the same space and with the same seed; neither may have a `CriticalSet.missed_interval_unavailable`.
+            Estimates for the same space with the same seed; `CriticalSet.missed_interval_unavailable` of both is None.
 
         Returns
         -------
@@ -61,10 +61,11 @@ class SetDifference:
 
         Notes
         -----
-        How frequent surprises are depends on the scenario more than on the version, so the change comes from pairs of
-        draws whose calibrations have nearly the same rank. Apart from that, both sets are drawn independently. If
-        neither is known well, the draws differ even where the sets are equal, so the draws bound `gained` and `lost`
-        from above only; the lower bound is given by the change of the critical fraction.
+        The rate of surprises (critical scenarios to which no prediction points) depends on the scenario more than on
+        the version. So the change comes from pairs of draws whose calibrations have nearly the same rank. Apart from
+        the pairing, both sets are drawn independently. If neither set is known well, the draws differ even if the sets
+        are equal. So the draws bound `gained` and `lost` only from above, and the change of the critical fraction
+        bounds them from below.
         """
         old_draws, new_draws, both_draws = old.draw_overlap_with(new)
         changes = old.draw_changes_to(new)
@@ -94,18 +95,18 @@ class SetDifference:
 
 
 def _differences_of_draws(before: FloatArray, after: FloatArray) -> FloatArray:
-    """Differences `after - before` of all pairs of independent draws."""
+    """Return the differences `after - before` of all pairs of independent draws."""
     return (after[:, None] - before).ravel()
 
 
 def _tail_probability(changes: FloatArray, n_draws: int) -> float:
-    """Two-sided tail probability of no change; the pairs in `changes` come from `n_draws` draws of each set."""
+    """Return the two-sided tail probability of no change; `changes` holds pairs of `n_draws` draws of each set."""
     tail = min(float((changes <= 0.0).mean()), float((changes >= 0.0).mean()))
     return min(2.0 * max(tail, 0.5 / n_draws), 1.0)
 
 
 def _estimate_with_lower_bound(draws: FloatArray, low: float) -> Estimate:
-    """Estimate of a quantity that `draws` bound from above and `low` bounds from below."""
+    """Estimate a quantity that `draws` bound from above and `low` bounds from below."""
     estimate = Estimate.from_draws(draws)
     low = max(low, 0.0)
     return Estimate(max(estimate.value, low), low, max(estimate.high, low))

@@ -1,4 +1,4 @@
-"""Samples of critical sets from the posterior, on the sampled points of a space."""
+"""Critical sets drawn from the posterior, on a sample of points that represents a parameter space."""
 
 from __future__ import annotations
 
@@ -24,11 +24,12 @@ _N_BINS: Final = 1024
 class SetSamples:
     """Draws of a critical set from the posterior, on n points that represent a space.
 
-    On some of the points, draws are joint; on all points, there are marginal probabilities. `weights` (n,) are the
-    fractions of the space that the points represent, `z` (n,) the predictions. `known_outcome` (n,) is inf if a
-    scenario was run and is critical, -inf if it was run and is not critical, else 0. `joint_points` holds the indices
-    (m,) of the points with joint draws, and the fraction of the space that each represents. `draw_errors` returns
-    standard normal numbers (m, `N_DRAWS`) for these points, with the correlation of their scores.
+    On some of the points, draws are joint. On all points, there are marginal probabilities. `weights` (n,) are the
+    fractions of the space that the points represent. `z` (n,) are the predictions, as distances to the threshold in
+    standard deviations. `known_outcome` (n,) is inf if a scenario was run and is critical, -inf if it was run and is
+    not critical, else 0. `joint_points` holds the indices (m,) of the points with joint draws, and the fraction of the
+    space that each represents. `draw_errors` returns standard normal numbers (m, `N_DRAWS`) for these points, with the
+    correlation of their scores.
     """
 
     def __init__(
@@ -47,17 +48,17 @@ class SetSamples:
 
     @cached_property
     def order_by_calibration(self) -> IntArray:
-        """Draws in ascending order of their rate of surprises, then of the other parameters of the calibration."""
+        """Indices of the draws in ascending order of their surprise rate, then of the other calibration parameters."""
         return np.asarray(np.lexsort((self._b, self._a, self._rate)), dtype=np.int64)
 
     @cached_property
     def joint_draws(self) -> BoolArray:
-        """Whether each of the points with joint draws is critical in each draw, (m, draws)."""
+        """Mask of the points with joint draws that are critical in each draw, (m, draws)."""
         return np.asarray(self._draw_errors() <= self._critical_deviate_limits(self.joint_indices))
 
     @cached_property
     def _residuals(self) -> FloatArray:
-        """Outcome (0 or 1) less marginal probability of each point with joint draws, in each draw, (m, draws)."""
+        """Outcome (0 or 1) minus marginal probability of each point with joint draws, in each draw, (m, draws)."""
         return np.asarray(self.joint_draws - ndtr(self._critical_deviate_limits(self.joint_indices)))
 
     @cached_property
@@ -76,7 +77,7 @@ class SetSamples:
         return bin_of, np.concatenate([probability, np.zeros((1, N_DRAWS)), np.ones((1, N_DRAWS))])
 
     def _critical_deviate_limits(self, indices: IntArray) -> FloatArray:
-        """Normal deviate up to which a point is critical in each draw; infinite if the outcome is known."""
+        """Return the normal deviate up to which points are critical in each draw; infinite if the outcome is known."""
         limit = -(self._a + self._b * self._z[indices, None])
         surprising = self._rate > 0.0
         limit[:, surprising] = ndtri(
@@ -85,7 +86,10 @@ class SetSamples:
         return np.where(self._known_outcome[indices, None] == 0.0, limit, self._known_outcome[indices, None])
 
     def critical_fraction_within(self, weights: BoolArray | FloatArray) -> FloatArray:
-        """Sum of `weights` (a mask or numbers) over the critical set, as a fraction of the space, (draws,)."""
+        """Return the sum of `weights` (n,) over the critical set, as a fraction of the space, for each draw, (draws,).
+
+        `weights` are a mask or numbers.
+        """
         bin_of, probability = self._probability_bins
         expected = np.bincount(bin_of, weights=self._weights * weights, minlength=len(probability)) @ probability
         # The joint draws on some points give the spread, the probabilities on all points the mean.
@@ -98,9 +102,9 @@ class SetSamples:
             return np.clip(self.critical_fraction_within(np.ones(len(self._z), dtype=np.bool_)), 0.0, 1.0)
 
     def overlap_fraction(self, other: SetSamples, standardized_errors: FloatArray, order: IntArray) -> FloatArray:
-        """Fraction of the space that is critical both here and in a draw of `other`, (draws,).
+        """Return the fraction of the space that is critical in a draw of this set and in a draw of `other`, (draws,).
 
-        `standardized_errors` (m, `N_DRAWS`) are those for the other set, on the points with joint draws of this one.
+        `standardized_errors` (m, `N_DRAWS`) are drawn for the other set, at the points with joint draws of this set.
         Draw i of this set is paired with draw `order[i]` of `other`.
         """
         limit = other._critical_deviate_limits(self.joint_indices)[:, order]

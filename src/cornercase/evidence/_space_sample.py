@@ -14,7 +14,7 @@ from cornercase.evidence.gp._process import encode_points
 from cornercase.scenario import ParameterSpace
 
 _BLOCK_SIZE: Final = 2**14  # points per block of the sequence
-# Constraints reject some points: blocks are drawn until this many points remain, but at most so often.
+# Constraints reject some points. So blocks are drawn until this many points remain, up to a greatest number of blocks.
 _MIN_POINTS, _MAX_BLOCKS = 2**12, 16
 # Number of balls, and of points that measure their volumes.
 _N_BALLS, _N_VOLUME_POINTS = 512, 8192
@@ -27,8 +27,8 @@ class SpaceSample:
     """Distinct concrete scenarios of a space, and the fraction of the space that each represents.
 
     `points` (n, d) are in the unit cube, in the order of a Sobol' sequence. `encoded_points` (n, e) are coordinates for
-    a kernel. `weights` (n,) sum to 1. `is_complete` says whether the sample contains every scenario of the space that
-    has a probability.
+    a kernel. `weights` (n,) sum to 1. `is_complete` is True if the sample contains every scenario of the space with a
+    probability above 0.
     """
 
     points: FloatArray
@@ -60,10 +60,10 @@ class SpaceSample:
         return cls(points, encode_points(space, points), weights, complete)
 
     def subset(self, relevance: FloatArray, count: int) -> tuple[IntArray, FloatArray]:
-        """Choose about `count` points or fewer, relevant ones with more probability.
+        """Choose at most about `count` points; points with a higher `relevance` (n,), above 0, are more probable.
 
         Returns the indices (m,) and the fraction of the space that each point represents. Sums over the chosen points,
-        weighted by these fractions, estimate sums over all points. `relevance` (n,) is above 0.
+        weighted by these fractions, estimate sums over all points.
         """
         if len(self.weights) <= count:
             return np.arange(len(self.weights)), self.weights
@@ -74,7 +74,7 @@ class SpaceSample:
         return indices, self.weights[indices] / probability[indices]
 
     def empty_ball_fractions(self, run: FloatArray) -> FloatArray:
-        """Volumes of the largest balls around k random points that contain no point of `run` (m, e), shape (k,).
+        """Return the volume of the largest ball around each of k random points without a point of `run` (m, e), (k,).
 
         Volumes are fractions of the space; parts of a ball outside the space do not count.
         """
@@ -86,13 +86,13 @@ class SpaceSample:
 
 
 def is_small_and_finite(space: ParameterSpace) -> bool:
-    """Whether a space has so few scenarios that its sample contains all of them."""
+    """Return whether a space has so few scenarios that its sample contains all of them."""
     sizes = [parameter.size for parameter in space.parameters]
     return None not in sizes and math.prod(size or 1 for size in sizes) <= _BLOCK_SIZE
 
 
 def _all_scenarios(space: ParameterSpace, first: FloatArray, seed: int) -> tuple[FloatArray, FloatArray]:
-    """All scenarios of a finite space, and the fraction of the space that each represents.
+    """Return all scenarios of a finite space, and the fraction of the space that each represents.
 
     The scenarios in `first` come first.
     """
@@ -107,7 +107,7 @@ def _all_scenarios(space: ParameterSpace, first: FloatArray, seed: int) -> tuple
 
 
 def _squared_distances(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Squared distances in single precision, since only their order matters."""
+    """Return squared distances of all pairs of points, (n, m), in single precision, since only their order matters."""
     a, b = a.astype(np.float32), b.astype(np.float32)
     squares = a @ (-2.0 * b).T
     squares += (a * a).sum(axis=1)[:, None]

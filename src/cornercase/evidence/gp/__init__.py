@@ -1,1 +1,1 @@
-"""The Gaussian process that predicts scores between scenarios."""
+"""Gaussian process that predicts the scores of scenarios that were not run."""

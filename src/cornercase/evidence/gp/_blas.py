@@ -30,7 +30,7 @@ def multiply_by_transposed(left: FloatArray, right: FloatArray) -> FloatArray:
 
 
 def gram_lower_half(rows: FloatArray) -> FloatArray:
-    """Lower half of `rows @ rows.T`, with zeros above the diagonal."""
+    """Return the lower half of `rows @ rows.T`, with zeros above the diagonal."""
     if rows.flags.f_contiguous:
         return np.asarray(dsyrk(1.0, rows, lower=1))
     return np.asarray(dsyrk(1.0, rows.T, trans=1, lower=1))

@@ -17,10 +17,10 @@ Floats = npt.NDArray[np.floating[Any]]
 
 _TOLERANCE = 1e7 * float(np.finfo(np.float64).eps)  # as in SciPy
 _ROOT5 = float(np.sqrt(5.0))
-# Number of values that length scales are learned from: per dimension, least and most. The cost grows with its cube.
+# Number of values from which length scales are learned: per dimension, least and most. The cost grows with its cube.
 _VALUES_PER_DIMENSION, _MIN_VALUES, _MAX_VALUES = 40, 160, 400
 # Prior of the length scales for one dimension: median and standard deviation of the logarithm. Distances in a cube grow
-# with the root of its dimension; so must the length scales, or a process of many dimensions knows only its values.
+# with the root of its dimension. Length scales have to grow, too, or values in many dimensions would be unrelated.
 _PRIOR_MEDIAN, _PRIOR_SPREAD = 0.5, 0.7
 # Columns of a symmetric covariance that are computed together, down from the diagonal.
 _BLOCK_SIZE = 256
@@ -31,7 +31,7 @@ _LENGTH_SCALE_BOUNDS, _SIGNAL_BOUNDS, _MIN_NOISE = (1e-2, 10.0), (1e-2, 30.0), 1
 class MaternKernel:
     """Matérn kernel (5/2) with a length scale per dimension.
 
-    `signal` is the standard deviation of the process, `noise` that of the error of single values.
+    `signal` is the standard deviation of the process, `noise` the standard deviation of the error of single values.
     """
 
     length_scales: FloatArray
@@ -39,11 +39,11 @@ class MaternKernel:
     noise: float
 
     def covariance(self, a: FloatArray, b: FloatArray) -> FloatArray:
-        """Covariance of the process, without noise, between points a (n, e) and points b (m, e), (n, m)."""
+        """Return the covariance of the process, without noise, between points a (n, e) and points b (m, e), (n, m)."""
         return np.asarray(self._scaled_covariance(a / self.length_scales, b / self.length_scales), dtype=np.float64)
 
     def covariance_lower_half(self, points: FloatArray) -> FloatArray:
-        """Covariance between points (n, e) as by `covariance`; most entries above the diagonal are 0."""
+        """Return the lower half of the covariance (n, n) of points (n, e); most entries above the diagonal are 0."""
         scaled = points / self.length_scales
         covariance = np.zeros((len(points), len(points)), order="F")
         for first in range(0, len(points), _BLOCK_SIZE):
@@ -52,7 +52,7 @@ class MaternKernel:
         return covariance
 
     def covariance_in_single_precision(self, a: FloatArray, b: FloatArray) -> Floats:
-        """Same as `covariance`, in single precision."""
+        """Return the covariance between points a (n, e) and points b (m, e), (n, m), in single precision."""
         return self._scaled_covariance(
             (a / self.length_scales).astype(np.float32), (b / self.length_scales).astype(np.float32)
         )
@@ -64,14 +64,14 @@ class MaternKernel:
 
 
 def evenly_spaced_indices(count: int, max_count: int) -> IntArray:
-    """At most `max_count` evenly spaced indices of `count` values."""
+    """Return at most `max_count` evenly spaced indices of `count` values."""
     return np.unique(np.linspace(0, count - 1, max_count).astype(np.int64))
 
 
 def indices_with_rare_values(count: int, max_count: int, is_rare: BoolArray | None) -> IntArray:
-    """At most `max_count` indices of `count` values; up to half of them are rare values.
+    """Return at most `max_count` indices of `count` values; up to half of them are rare values.
 
-    Indices are evenly spaced among the rare and among the other values.
+    Indices are evenly spaced among the rare values, and among the other values.
     """
     if is_rare is None or count <= max_count or not is_rare.any():
         return evenly_spaced_indices(count, max_count)
@@ -93,8 +93,8 @@ def fit_kernel(
 
     The prior bounds the length scales if there are few points; its median grows with the root of the number of
     dimensions. `values` have a mean of 0. At most 40 values per dimension are used, but at least 160 and at most 400.
-    Up to half of them are rare values. The search ends when a step raises the logarithm by less than `tolerance` times
-    its value, or times 1 if that is more.
+    Up to half of the used values are rare values (`is_rare`). The search ends when a step raises the logarithm of the
+    objective by less than `tolerance` times its value, or times 1 if that is more.
 
     Source: C. E. Rasmussen, C. K. I. Williams, "Gaussian Processes for Machine Learning" (2006), equations 4.17, 5.8
     and 5.9. The prior is scaled as in C. Hvarfner, E. O. Hellsten, L. Nardi, "Vanilla Bayesian optimization performs
@@ -181,7 +181,7 @@ def _pairwise_distances(a: Floats, b: Floats) -> Floats:
 
 
 def matern_correlations(distance: Floats) -> Floats:
-    """Matérn correlations (5/2) at distances that are divided by the length scales; overwrites `distance`."""
+    """Compute Matérn correlations (5/2) at distances that are divided by the length scales; overwrite `distance`."""
     number = distance.dtype.type
     distance *= number(_ROOT5)
     polynomial = distance * number(1.0 / 3.0)

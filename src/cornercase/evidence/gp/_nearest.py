@@ -22,9 +22,9 @@ _MIN_VARIANCE: Final = 1e-12
 
 
 class NearestPosterior:
-    """Process that is conditioned, at each point, only on the nearest values: 12 per dimension, 32 to 64.
+    """Posterior of a Gaussian process that uses, at each point, only the nearest values: 12 per dimension, 32 to 64.
 
-    Nearness is measured in length scales. The cost per point does not depend on the number of values. Detail is
+    Distances are measured in length scales. The cost per point does not depend on the number of values. Detail is
     preserved that 512 inducing points would smooth away, but there is no joint distribution of several points. There
     must be more than 64 values.
 
@@ -43,20 +43,23 @@ class NearestPosterior:
         return cKDTree(self._points)
 
     def predict(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Mean and standard deviation at points (m, e), (m,) each."""
+        """Predict the process at points (m, e); return means and standard deviations, (m,) each."""
         return self._predict_excluding(points / self._kernel.length_scales, np.full(len(points), -1))
 
     def leave_one_out(self, indices: IntArray | None = None) -> tuple[FloatArray, FloatArray]:
-        """Mean and standard deviation of each value, or of those at `indices`, by the process of the other values.
+        """Predict each value, or the values at `indices`, from the other values; return means and standard deviations.
 
-        The standard deviation includes the noise of the single value.
+        The standard deviations include the noise of single values.
         """
         selected = np.arange(len(self._points)) if indices is None else indices
         mean, deviation = self._predict_excluding(self._points[selected], selected)
         return mean, np.hypot(deviation, self._kernel.noise)
 
     def _predict_excluding(self, scaled_points: FloatArray, excluded: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Mean and standard deviation at scaled points (m, e), without the value `excluded[i]` (-1: use all)."""
+        """Predict the process at scaled points (m, e); return means and standard deviations, (m,) each.
+
+        The value with index `excluded[i]` is not used at point i; -1 excludes no value.
+        """
         mean, variance = np.empty(len(scaled_points)), np.empty(len(scaled_points))
 
         def predict_chunk(first: int) -> None:
@@ -72,7 +75,7 @@ class NearestPosterior:
         return mean, np.sqrt(np.maximum(variance, _MIN_VARIANCE * self._kernel.signal**2))
 
     def _nearest_indices(self, scaled_points: FloatArray, excluded: IntArray) -> IntArray:
-        """Indices of the k values nearest to each point, without the excluded value, (m, k)."""
+        """Return the indices of the k values nearest to each point, without the excluded value, (m, k)."""
         near = np.asarray(self._tree.query(scaled_points, k=self._count + 1)[1], dtype=np.int64)
         keep = near != excluded[:, None]
         # If none is excluded, drop the farthest.

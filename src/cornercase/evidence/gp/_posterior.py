@@ -1,8 +1,8 @@
 """Posterior of a Gaussian process with a given kernel: exact, or with inducing points.
 
-Both have the same form. The mean at a point is the product of its covariances with `points` and `weights`. The variance
-that the values explain there is the squared norm of `inverse_factor` times these covariances. More values can be added
-to both, which updates the factor instead of computing it again.
+Both posteriors have the same form. The mean at a point is the product of its covariances with `points` and `weights`.
+The variance that the values explain there is the squared norm of `inverse_factor` times these covariances. More values
+can be added to both, which updates the factor instead of computing it again.
 """
 
 from __future__ import annotations
@@ -25,10 +25,11 @@ from cornercase.evidence.gp._kernel import MaternKernel, evenly_spaced_indices
 MAX_EXACT_VALUES = 512
 """Greatest number of values of the exact posterior, and number of inducing points for more values."""
 
-# Candidates for inducing points, and how many of them are chosen at a time.
+# Number of candidates for inducing points, and number that is chosen at a time.
 _N_CANDIDATES, _PIVOTS_PER_STEP = 2048, 32
 _BLOCK_SIZE = 8192  # values processed at a time, so that memory does not grow with their number
-# Added to the variance of inducing points, and of all values, as a fraction of it, so that it can be inverted.
+# Fractions of the variance that are added to the variance of inducing points, and of all values, so that covariances
+# can be inverted.
 _INDUCING_JITTER, _VALUE_JITTER = 1e-7, 1e-10
 _TRIES = 6  # attempts with ten times the slack each
 _SLACK = 1e-8  # added to the explained fraction of the variance, against rounding errors
@@ -53,7 +54,7 @@ class ExactPosterior:
         self.weights = self.inverse_factor.T @ (self.inverse_factor @ values)
 
     def with_more_values(self, points: FloatArray, values: FloatArray) -> ExactPosterior:
-        """Posterior with additional values; up to rounding, it equals the posterior of all values at once."""
+        """Return the posterior with additional values; up to rounding, the result is the posterior of all values."""
         cross = self._kernel.covariance(points, self.points) @ self.inverse_factor.T
         corner = _inverse_cholesky_factor(
             _covariance_with_noise(self._kernel, points) - cross @ cross.T, _VALUE_JITTER * self._kernel.signal**2
@@ -76,7 +77,7 @@ class SparsePosterior:
 
     The variance that inducing points leave unexplained at the other points is treated as independent noise (FITC).
     `relevance` (n,), above 0, makes points more likely to be inducing points. If a posterior `base` is given, its
-    inducing points are used, and the new points and values are added to its own. `n_inducing` is a multiple of
+    inducing points are used, and the new points and values are added to those of `base`. `n_inducing` is a multiple of
     32, by default 512.
 
     The attributes `points` (k, e) are the inducing points; `weights` (k,) and `inverse_factor` (k, k) correspond to
@@ -127,7 +128,7 @@ class SparsePosterior:
         self.inverse_factor = multiply_lower_triangular(np.ascontiguousarray(factor[::-1, ::-1]).T, self._whitening)
 
     def with_more_values(self, points: FloatArray, values: FloatArray) -> SparsePosterior:
-        """Posterior with additional values and the same inducing points."""
+        """Return the posterior with additional values and the same inducing points."""
         return SparsePosterior(self._kernel, points, values, base=self)
 
     def leave_one_out(self) -> tuple[FloatArray, FloatArray]:
@@ -140,7 +141,7 @@ class SparsePosterior:
         return mean, deviation
 
     def _leave_one_out_block(self, points: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Leave-one-out mean and standard deviation of some of the known values."""
+        """Predict some of the known values, each from all other values; return means and standard deviations."""
         rows, root = self._project_on_inducing_points(points)
         projections = multiply_by_lower_transposed(rows, self._inverse_precision_factor)
         explained = np.einsum("ij,ij->i", projections, projections)
@@ -149,7 +150,7 @@ class SparsePosterior:
         return values - error, 1.0 / np.sqrt(precision)
 
     def _project_on_inducing_points(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Whitened covariances with the inducing points, and the standard deviation left unexplained by them."""
+        """Return whitened covariances with the inducing points, and the standard deviations left unexplained."""
         rows = multiply_by_lower_transposed(self._kernel.covariance(points, self.points), self._whitening)
         variance = self._kernel.signal**2
         unexplained = variance - np.einsum("ij,ij->i", rows, rows)
@@ -160,12 +161,12 @@ AnyPosterior = ExactPosterior | SparsePosterior
 
 
 def _block_slices(count: int) -> list[slice]:
-    """Slices that cover `count` values, with at most 8192 values each."""
+    """Return slices that cover `count` values, with at most 8192 values each."""
     return [slice(first, first + _BLOCK_SIZE) for first in range(0, count, _BLOCK_SIZE)] or [slice(0, 0)]
 
 
 def cholesky_with_slack(covariance: FloatArray, slack: float) -> FloatArray:
-    """Lower Cholesky factor of a covariance that may be indefinite because of rounding errors.
+    """Return the lower Cholesky factor of a covariance that may be indefinite because of rounding errors.
 
     `slack`, or more if needed, is added to the diagonal of `covariance` in place. Only the lower half is read.
     """
@@ -186,7 +187,10 @@ def condition_process(
     relevance: FloatArray | None = None,
     max_points: int | None = None,
 ) -> AnyPosterior:
-    """Posterior of a process: exact for up to `max_points` (512) values, otherwise with as many inducing points."""
+    """Return the posterior of a process: exact for few values, otherwise with inducing points.
+
+    The posterior is exact for up to `max_points` values, by default 512. This is also the number of inducing points.
+    """
     if len(points) <= (max_points or MAX_EXACT_VALUES):
         return ExactPosterior(kernel, points, values)
     return SparsePosterior(kernel, points, values, relevance, n_inducing=max_points)
@@ -214,12 +218,12 @@ def _choose_inducing_points(
 
 
 def _covariance_with_noise(kernel: MaternKernel, points: FloatArray) -> FloatArray:
-    """Covariance of values at points, including their noise."""
+    """Return the covariance of values at points, including their noise."""
     covariance = kernel.covariance(points, points)
     covariance[np.diag_indices(len(points))] += kernel.noise**2
     return covariance
 
 
 def _inverse_cholesky_factor(covariance: FloatArray, slack: float) -> FloatArray:
-    """Inverse of the lower Cholesky factor of a covariance."""
+    """Return the inverse of the lower Cholesky factor of a covariance."""
     return np.asarray(dtrtri(cholesky_with_slack(covariance, slack), lower=1)[0])

@@ -63,27 +63,27 @@ def require_enough_scores(points: FloatArray, scores: FloatArray) -> tuple[Float
     """Drop failed scenarios (NaN). ValueError if fewer than 10 scores remain, or all are the same."""
     finite = np.isfinite(scores)
     if finite.sum() < _MIN_SCORES or np.ptp(scores[finite]) == 0.0:
-        raise ValueError(f"At least {_MIN_SCORES} different scores are needed.")
+        raise ValueError(f"Give at least {_MIN_SCORES} scores that are not all the same.")
     return points[finite], scores[finite]
 
 
 def squash_scale(scores: FloatArray) -> float:
-    """Distance from the threshold beyond which scores are squashed: 0.5 to 1 standard deviation.
+    """Return the distance from the threshold beyond which scores are squashed: 0.5 to 1 standard deviation.
 
-    Scores far from the threshold say little about the boundary of the critical set. A process that need not follow them
-    fits the boundary better. But they lead to regions that were not explored yet. So the scale is one standard
-    deviation with up to 100 scores, and decreases with more scores.
+    Scores far from the threshold say little about the boundary of the critical set. A process that need not follow
+    these scores fits the boundary better. But scores far from the threshold lead to regions that were not explored yet.
+    So the scale is one standard deviation with up to 100 scores, and decreases with more scores.
     """
     return float(np.clip(_FULL_SCALE_COUNT / len(scores), 0.5, 1.0) * np.std(scores))
 
 
 def squash_around_threshold(scores: FloatArray, criterion: Criterion, scale: float) -> FloatArray:
-    """Shift the threshold to 0, and compress scores far from it by a hyperbolic tangent of the given scale.
+    """Shift the threshold to 0, and compress scores far from it by a hyperbolic tangent with a given scale.
 
-    Several scores that equal the threshold lie on a plateau of the score, as do those of collisions. How deep in the
-    critical set they are is unknown, so they count as one scale beyond the threshold, or as half as far as the median
-    of lower scores if that is less. At the threshold itself, a process would take each scenario beside them for not
-    critical.
+    Several scores that equal the threshold lie on a plateau of the score, as scores of collisions do. How deep inside
+    the critical set these scenarios lie is unknown. So they count as one scale beyond the threshold, or as half the
+    median distance of lower scores if that is less. If they counted as exactly at the threshold, a process would
+    predict that neighbouring scenarios are not critical.
     """
     margins = criterion.margins(scores)
     on_plateau = margins == 0.0
@@ -100,15 +100,15 @@ def fit_boundary_process(
     """Fit the Gaussian process of squashed scores that best predicts which scenarios are critical.
 
     If scores jump, a process with much noise smooths the boundary away. If scores are noisy, a process with little
-    noise follows the noise. So several processes are fitted, with increasing bounds of the noise. The process is
-    selected that best predicts, by leave-one-out likelihood, on which side of the threshold scores are. At most 512
-    scenarios are left out: each is predicted from the others of these, or with more than 4,000 scenarios from the
-    nearest of all. Smooth functions are predicted best from scores far from the threshold too, so two standard
-    deviations are tried in addition to `squash_scale`. The most critical tenth of the scores is never squashed.
+    noise follows the noise. So several processes are fitted, with different bounds of the noise. The selected process
+    is the one that best predicts, by leave-one-out likelihood, on which side of the threshold scores are. At most 512
+    scenarios are left out. Each is predicted from the others among these, or from the nearest of all scenarios if there
+    are more than 4,000. Scores far from the threshold help to predict smooth functions, so a scale of two standard
+    deviations is tried in addition to `squash_scale`. The most critical tenth of the scores is never squashed.
 
     The prediction of another study is used if it makes the left-out scores 100 times as likely in total, and twice as
-    likely each (geometric mean). With enough scores a weakly related study meets the first condition alone, although it
-    moves the boundary away.
+    likely each (geometric mean). With enough scores, a weakly related study can meet the first condition although it
+    moves the boundary away; the second condition excludes this study.
 
     `points` (n, e) are encoded, `scores` (n,) are not all the same. `has_prediction` says whether the last coordinate
     is the prediction of a `SourceStudyModel`.
@@ -122,7 +122,7 @@ def fit_boundary_process(
     densities: dict[tuple[float, int], float] = {}
 
     def fit_candidate(scale: float, max_noise: float, n_used: int, start: GaussianProcess | None) -> _Candidate:
-        """Fit one process; return it with its leave-one-out log-likelihood of the sides of the threshold."""
+        """Fit one process; also return the leave-one-out log-likelihood of the sides of the threshold."""
         values = squash_around_threshold(scores, criterion, scale)
         process = GaussianProcess(max_noise, scale).fit_hyperparameters(points, values, start, rare, n_used)
         if len(points) > GaussianProcess.max_induced_values:
@@ -160,11 +160,11 @@ def fit_boundary_process(
 
 @dataclass(frozen=True)
 class ClosedForm:
-    """Numbers that predict a process at any point.
+    """Closed form of a Gaussian process: kernel, points and factors that determine its prediction at any point.
 
-    With the covariances k (m,) of a point with `points` (m, e), the mean is `mean` + k · `weights`, and the variance is
-    that of the kernel less the squared norm of `inverse_factor` k; `inverse_factor` (m, m) is lower triangular. Both
-    are in single precision where that is accurate enough.
+    With the covariances k (m,) of a point with `points` (m, e), the mean is `mean` + k · `weights`. The variance is the
+    kernel's variance minus the squared norm of `inverse_factor` k; `inverse_factor` (m, m) is lower triangular.
+    `weights` and `inverse_factor` are in single precision if that is accurate enough.
     """
 
     kernel: MaternKernel
@@ -184,7 +184,7 @@ class GaussianProcess:
     """
 
     max_induced_values: ClassVar[int] = 4000
-    """Number of values up to which inducing points are used; with more, each point uses the values nearest to it."""
+    """Greatest number of values with inducing points; with more values, each point uses only the nearest values."""
 
     def __init__(self, max_noise: float = 0.3, squash_scale: float = 1.0) -> None:
         self.max_noise, self.squash_scale = max_noise, squash_scale
@@ -229,9 +229,9 @@ class GaussianProcess:
     ) -> GaussianProcess:
         """Condition the process on new values instead of the previous ones.
 
-        Up to 512 values are exact; for more, there are 512 inducing points. With more than 4,000 values, predictions
-        and leave-one-out use the nearest values. `relevance` (n,), above 0, says how much it matters to know the
-        process at a point.
+        Up to 512 values are exact; for more values, there are 512 inducing points. With more than 4,000 values,
+        predictions and leave-one-out use the nearest values. `relevance` (n,), above 0, says how much it matters to
+        know the process at a point.
         """
         with single_threaded_blas():
             self._set_posterior(condition_process(self.kernel, points, values - self._mean, relevance))
@@ -244,14 +244,14 @@ class GaussianProcess:
         return self.condition_on(points, values, (1.0 - values**2 + _MIN_RELEVANCE) ** 2)
 
     def with_more_values(self, points: FloatArray, values: FloatArray) -> GaussianProcess:
-        """Copy of this process that is conditioned on additional values."""
+        """Return a copy of this process that is conditioned on additional values."""
         other = copy(self)
         with single_threaded_blas():
             other._set_posterior(self._posterior.with_more_values(points, values - self._mean))
         return other
 
     def condense(self, points: FloatArray, values: FloatArray, max_points: int) -> GaussianProcess:
-        """Copy of this process whose predictions, for any number of values, need at most `max_points` points."""
+        """Return a copy of this process whose predictions need at most `max_points` points for any number of values."""
         other = copy(self)
         with single_threaded_blas():
             other._set_posterior(
@@ -261,14 +261,14 @@ class GaussianProcess:
         return other
 
     def closed_form(self) -> ClosedForm:
-        """Return all that predictions at a point need, for programs in other languages."""
+        """Return all that determines predictions at any point, for programs in other languages."""
         weights, inverse = self._factors
         return ClosedForm(self.kernel, self._mean, self._posterior.points, weights, inverse)
 
     def leave_one_out_by_nearest(
         self, points: FloatArray, values: FloatArray, indices: IntArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Leave-one-out mean and standard deviation, (k,) each, of values at `indices`, by the nearest others."""
+        """Predict the values at `indices` from the nearest other values; return means and deviations, (k,) each."""
         mean, deviation = NearestPosterior(self.kernel, points, values - self._mean).leave_one_out(indices)
         return self._mean + mean, deviation
 
@@ -296,7 +296,7 @@ class GaussianProcess:
             self._factors = single
 
     def predict(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Mean and standard deviation at points, (n,) each.
+        """Return the mean and the standard deviation of the process at points (n, e), (n,) each.
 
         Single precision is used if it is accurate enough, so that 100,000 points with 500 values take about a second.
         """
@@ -307,7 +307,10 @@ class GaussianProcess:
         return mean, deviation
 
     def predict_with_projections(self, points: FloatArray) -> tuple[FloatArray, FloatArray, Floats]:
-        """Like `predict`, for up to 4,000 values; also return the rows (n, k) that `covariance_with_point` needs."""
+        """Predict as `predict` does; also return the rows (n, k) that `covariance_with_point` needs.
+
+        There may be at most 4,000 values.
+        """
         mean, deviation, parts = self._predict_in_chunks(points, keep_projections=True)
         return mean, deviation, np.concatenate(parts)
 
@@ -328,7 +331,7 @@ class GaussianProcess:
         return mean + self._mean, np.sqrt(np.maximum(variance, lowest * self.kernel.signal**2)), rows
 
     def _predict_at(self, points: FloatArray, weights: Floats, inverse: Floats) -> tuple[Floats, FloatArray, Floats]:
-        """Mean less the overall mean, variance, and projections at points, in the precision of `weights`."""
+        """Return the mean minus the overall mean, the variance, and projections, in the precision of `weights`."""
         single = inverse.dtype == np.float32
         cross = (self.kernel.covariance_in_single_precision if single else self.kernel.covariance)(
             points, self._posterior.points
@@ -353,7 +356,7 @@ class GaussianProcess:
         return self._mean + mean[index], deviation[index]
 
     def joint_covariance(self, points: FloatArray, with_noise: bool = True) -> tuple[FloatArray, FloatArray]:
-        """Lower Cholesky factor (m, m) of the covariance at points, and the standard deviations (m,).
+        """Return the lower Cholesky factor (m, m) of the covariance at points, and the standard deviations (m,).
 
         If `with_noise`, both include the noise of single values.
         """
@@ -367,7 +370,7 @@ class GaussianProcess:
         return factor, np.sqrt(np.diag(covariance))
 
     def covariance_with_point(self, points: FloatArray, projections: Floats, i: int) -> FloatArray:
-        """Covariance of the process at all points with the process at point `i`, (n,).
+        """Return the covariance of the process at all points with the process at point `i`, (n,).
 
         `projections` are those of `predict_with_projections`.
         """
