@@ -84,9 +84,9 @@ class CriticalSet:
     `points` (n, d) were run and have `scores` (n,); lower is more critical, NaN for a failed scenario. `initial_design`
     (n,) marks the scenarios chosen independently of scores, by default all. `audits` are random points and their
     scores, which the optimizer has not observed. `features` are the columns and their values (n, f). `source_model`
-    adds the prediction of another study as a coordinate of the process. The coordinate is dropped if it misleads, and
-    is never used for the calibration. `sample` is the sample of the space with this seed, if it is known. ValueError if
-    there are fewer than 10 scores, or all are the same.
+    adds the prediction of another study as a coordinate of the process. The coordinate is dropped if it misleads.
+    Outcomes of the other study are never used for the calibration. `sample` is the sample of the space with this seed,
+    if it is known. ValueError if there are fewer than 10 scores, or all are the same.
 
     Leave-one-out prediction: C. E. Rasmussen, C. K. I. Williams, "Gaussian Processes for Machine Learning" (2006),
     equation 5.12.

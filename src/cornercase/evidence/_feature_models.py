@@ -36,9 +36,8 @@ class PerBranchFeatureModels:
     `branches` (n,) is the branch of each scenario. `kernels` maps each branch, and None for all scenarios, to the
     kernels of `FeatureModels`; missing kernels are learned from at most `max_kernel_scenarios`. `subset` holds the
     indices of scenarios that the processes use, by default all. A branch with fewer than 8 scenarios in `subset` uses
-    all scenarios of the branch.
-    `leave_one_out` (n, g) holds leave-one-out predictions: first from all scenarios, then from each branch. For
-    scenarios outside of a branch, it holds the ordinary prediction of the branch.
+    all scenarios of the branch. `leave_one_out` (n, g) holds leave-one-out predictions: first from all scenarios, then
+    from each branch. For scenarios outside of a branch, it holds the ordinary prediction of the branch.
     """
 
     def __init__(

@@ -15,16 +15,16 @@ from cornercase._common.typing import FloatArray, IntArray
 from cornercase.reduction._simplex_kernel import project_on_simplex
 
 MAX_ARCHETYPES: Final = 15
-"""Number per hull in the paper."""
+"""Greatest number of archetypes (extreme scenarios) of a hull, as in the paper that cornercase follows."""
 
 # An archetype is added as long as it explains at least this share of the variance.
 _MIN_EXPLAINED_GAIN: Final = 0.02
 # Kernel width relative to the median distance within the cluster; narrow enough that every scenario along a horseshoe
 # is extreme in kernel space.
 _KERNEL_GAMMA: Final = 4.0
-# The time grows with the cube of the number of scenarios.
+# Greatest number of scenarios in kernel space: the time grows with its cube.
 _MAX_IN_KERNEL: Final = 2000
-# The same for studies with landmarks, where more would take minutes.
+# Greatest number of scenarios of a cluster in studies with embedded distances, for which more would take minutes.
 _MAX_EVENLY_SPACED: Final = 400
 _EXPLAINED_VARIANCE: Final = 0.99
 _ITERATIONS: Final = 300
@@ -36,10 +36,10 @@ _STEP_TRIALS: Final = 10
 
 @dataclass(frozen=True)
 class Archetypes:
-    """Scenarios at the extremes of a cluster, as rising indices; all others are approximately mixtures of them.
+    """Archetypes of a cluster: indices, in rising order, of extreme scenarios that mix to approximately all others.
 
     `explained_variance` is the share of the variance that mixtures of 1, 2, … archetypes explain, before archetypes are
-    replaced by the nearest scenarios. If the number of archetypes was given, it has only the value for this number.
+    replaced by the nearest scenarios. If the number of archetypes was given, there is only the share for this number.
     """
 
     indices: IntArray
@@ -47,7 +47,7 @@ class Archetypes:
 
 
 def find_archetypes(points: FloatArray, k: int | None = None, *, max_k: int = MAX_ARCHETYPES) -> Archetypes:
-    """Find `k` archetypes such that every point is approximately a mixture of them; return the nearest scenarios.
+    """Find `k` archetypes such that every point is approximately a mixture of them; return the points nearest to them.
 
     By default `k` is at the bend of the curve of the explained variance: the first number, up to `max_k`, after which
     another archetype adds less than 0.02. A. Cutler, L. Breiman, "Archetypal analysis", 1994; projected gradients and
@@ -78,11 +78,11 @@ def find_archetypes(points: FloatArray, k: int | None = None, *, max_k: int = MA
 
 
 def find_kernel_archetypes(cluster_distances: FloatArray, k: int) -> Archetypes:
-    """Find `k` archetypes of a cluster in the space of a Gaussian kernel of the distances in it, shape (n, n).
+    """Find `k` archetypes of a cluster in the space of a Gaussian kernel of the cluster's distances, shape (n, n).
 
     The kernel falls so fast that scenarios far from each other along a bent cluster are unrelated, so archetypes spread
-    all along the cluster. The inner products of the coordinates are the centred kernel. Of more than 2,000 scenarios
-    only 2,000 are used, evenly spaced by the sum of their distances to the others.
+    all along the cluster. The inner products of coordinates in this space are the centred kernel. Of more than 2,000
+    scenarios only 2,000 are used, evenly spaced by the sum of their distances to the others.
     """
     if len(cluster_distances) > _MAX_IN_KERNEL:
         order = np.argsort(cluster_distances.sum(axis=1), kind="stable")
@@ -112,8 +112,9 @@ def pick_evenly_spaced(members: IntArray) -> IntArray:
 def _fit_archetypal_analysis(points: FloatArray, k: int) -> tuple[FloatArray, float]:
     """Fit `k` archetypes, shape (k, d); also return the residual sum of squares.
 
-    The points are approximated by ``shares @ archetypes``, with ``archetypes = mixing @ points``. Rows of both factors
-    are nonnegative and sum to 1. They are improved in turn by projected gradients, with steps that grow and shrink.
+    The points are approximated by ``shares @ archetypes``, with ``archetypes = mixing @ points``. Rows of `shares` and
+    `mixing` are nonnegative and sum to 1. Both are improved in turn by projected gradients, with steps that grow and
+    shrink.
     """
     if k == 1:
         center = points.mean(axis=0, keepdims=True)
@@ -164,7 +165,10 @@ def _fit_archetypal_analysis(points: FloatArray, k: int) -> tuple[FloatArray, fl
 
 
 def _choose_far_points(points: FloatArray, k: int, rng: np.random.RandomState) -> list[int]:
-    """Choose the first archetypes by FurthestSum: each is the point with the largest sum of distances to the others."""
+    """Choose `k` points as first archetypes by FurthestSum; return their indices.
+
+    Each is the point with the largest sum of distances to the points chosen before.
+    """
 
     def distances_to(index: int) -> FloatArray:
         return np.asarray(np.linalg.norm(points - points[index], axis=1))
@@ -183,7 +187,7 @@ def _choose_far_points(points: FloatArray, k: int, rng: np.random.RandomState) -
 
 
 def _snap_to_points(archetypes: FloatArray, points: FloatArray) -> IntArray:
-    """Index of the nearest point to each archetype, shape (k,); no point is used twice."""
+    """Return the rising indices of the points nearest to the archetypes, shape (k,); no point is used twice."""
     distances = cdist(archetypes, points)
     nearest: list[int] = []
     for row in distances:

@@ -13,14 +13,14 @@ from cornercase.reduction._medoids import find_k_medoids
 from cornercase.reduction._random_selections import distances_to_nearest_per_selection, draw_random_selections
 
 MIN_BETTER_SHARE: Final = 0.95
-"""Share of the random selections that a reduced set should be better than."""
+"""Least share of the random selections that a reduced set should beat."""
 
 
 class Baselines:
-    """Baselines: random selections in each clustering, and k-medoids in the critical clusters of the first clustering.
+    """Baselines for a selection: random selections in each clustering, and k-medoids of the first clustering.
 
-    `labels` are those of the first clustering, `critical_clusters` are critical clusters in it. `size` is the number of
-    selected scenarios.
+    k-medoids are compared by the distances of scenarios in critical clusters of the first clustering. `labels` and
+    `critical_clusters` belong to the first clustering. `size` is the number of selected scenarios.
     """
 
     def __init__(
@@ -42,10 +42,11 @@ class Baselines:
             self._medoid_distances = float(medoid_gaps.max()), float(medoid_gaps.mean())
 
     def gap(self, selected: list[int]) -> float:
-        """Return how far a selection falls short of the baselines; 0 if it is better than all of them.
+        """Return how far a selection falls short of the baselines; 0 if the selection beats them.
 
-        This is the sum of two shortfalls: of the share of random selections that it beats, and of its distances,
-        relative to those of k-medoids.
+        Two shortfalls are added. The first is the amount by which the share of random selections that the selection
+        beats is below 95 %. The second is the relative excess of the selection's distances over the distances of
+        k-medoids.
         """
         total = 0.0
         for matrix, random in zip(self._distances, self._random_distances, strict=True):

@@ -1,4 +1,4 @@
-"""Shapes of clusters; the shape determines the method for finding archetypes."""
+"""Shapes of clusters, which determine the method that finds the archetypes (extreme scenarios) of each cluster."""
 
 from __future__ import annotations
 
@@ -16,23 +16,24 @@ from cornercase.reduction._convexity import MIN_CONVEXITY, measure_convexity, sp
 from cornercase.reduction._hulls import MAX_HULL_DIMENSIONS, find_hull_archetypes
 
 ArchetypeMethod = Literal["auto", "hull", "pcha", "parts", "kernel"]
-"""How archetypes are found; ``"auto"`` depends on the convexity of each cluster."""
+"""Method that finds archetypes (extreme scenarios); ``"auto"`` chooses by the convexity of each cluster."""
 
 
 @dataclass(frozen=True)
 class ClusterShape:
-    """Shape of a cluster, and how its archetypes are found.
+    """Shape of a cluster, and the method that finds its archetypes (extreme scenarios).
 
     Attributes
     ----------
     cluster : int
     convexity : float
-        In the parameter space, 0 to 1, as in `cornercase.reduction._convexity.measure_convexity`.
+        Convexity in the parameter space, 0 to 1, as in `cornercase.reduction._convexity.measure_convexity`.
     kernel_convexity : float
-        The same in the kernel space of the distances; NaN if unknown.
+        Convexity in the kernel space of the distances; NaN if unknown.
     method : {"hull", "pcha", "parts", "kernel"}
-        ``"hull"``: corners of the convex hull in the parameter space. ``"pcha"``: archetypal analysis there.
-        ``"parts"``: corners of the hulls of near-convex parts. ``"kernel"``: archetypal analysis in kernel space.
+        ``"hull"``: corners of the convex hull in the parameter space. ``"pcha"``: archetypal analysis in the parameter
+        space. ``"parts"``: corners of the hulls of near-convex parts in the parameter space. ``"kernel"``: archetypal
+        analysis in kernel space.
     parts : int
         Number of near-convex parts; 1 except for ``"parts"``.
 
@@ -56,7 +57,8 @@ class ClusterShape:
 class ShapedCluster:
     """A cluster with its shape.
 
-    `parts` are indices of scenarios. There is one part, except for the method ``"parts"``.
+    `parts` are the indices of the scenarios in each near-convex part of the cluster. There is a single part, except for
+    the method ``"parts"``.
     """
 
     shape: ClusterShape
@@ -65,7 +67,7 @@ class ShapedCluster:
     def find_archetypes(self, points: FloatArray, distances: Distances, max_count: int) -> IntArray:
         """Return the indices of at most `max_count` extreme scenarios of the cluster.
 
-        They are shared among the parts of the cluster in proportion to the size.
+        If the cluster has several parts, the number is divided among them in proportion to their sizes.
         """
         (whole, *more) = self.parts
         if self.shape.method in ("kernel", "pcha") and isinstance(distances, EmbeddedDistances):
@@ -88,12 +90,13 @@ class ShapedCluster:
 def classify_cluster_shapes(
     points: FloatArray, labels: IntArray, embedding: FloatArray | None = None, method: ArchetypeMethod = "auto"
 ) -> tuple[ShapedCluster, ...]:
-    """Decide for each cluster how its archetypes are found, cluster 0 first.
+    """Measure the shape of each cluster, and choose the method that finds its archetypes, cluster 0 first.
 
-    With ``"auto"`` it depends on the convexity. A cluster that is not convex in kernel space (convexity below 0.8) gets
-    ``"kernel"``. Otherwise, if it is convex in the parameter space it gets ``"hull"``, or ``"pcha"`` with more than six
-    parameters. If not, it gets ``"parts"``, or ``"kernel"`` if six parts are not enough. `embedding`, shape (n, e), has
-    coordinates in the kernel space of the clustering.
+    With ``"auto"`` the method depends on the convexity. A cluster that is not convex in kernel space (convexity below
+    0.8) gets ``"kernel"``. A cluster that is convex in both spaces gets ``"hull"``, or ``"pcha"`` with more than six
+    parameters. A cluster that is not convex in the parameter space gets ``"parts"``, or ``"kernel"`` if six parts are
+    not enough. `points`, shape (n, d), are in the parameter space. `embedding`, shape (n, e), has coordinates in the
+    kernel space of the clustering; without it, clusters count as convex there.
     """
     require_archetype_method(method)
     shaped = []
@@ -116,7 +119,7 @@ def classify_cluster_shapes(
 
 
 def require_archetype_method(method: str) -> None:
-    """Raise `InputError` unless `method` is a method for finding archetypes."""
+    """Raise `InputError` unless `method` is one of the methods for finding archetypes."""
     if method not in get_args(ArchetypeMethod):
         raise InputError(f"`archetypes_by` {method}: {suggest_name(method, get_args(ArchetypeMethod))}")
 

@@ -13,7 +13,7 @@ from cornercase._common.typing import BoolArray, FloatArray, IntArray
 MIN_CONVEXITY: Final = 0.8
 """Convexity from which a cluster counts as convex."""
 
-# Largest number of pairs: all pairs of 200 scenarios.
+# Largest number of pairs between which points are sampled: about all pairs of 200 scenarios.
 _MAX_PAIRS: Final = 20_000
 _SAMPLE_POSITIONS: Final = (0.25, 0.5, 0.75)
 _NEIGHBOUR_QUANTILE: Final = 0.95
@@ -23,10 +23,11 @@ _MAX_PARTS: Final = 6
 def measure_convexity(points: FloatArray, is_member: BoolArray) -> float:
     """Measure how much of the space between the members of a cluster belongs to the cluster, 0 to 1.
 
-    Three evenly spaced points are sampled on the line between any two members. A point belongs to the cluster if it has
-    two properties. The scenario nearest to it is a member. Its distance to this member is at most that of 95 % of the
-    members to their 2 d-th neighbour in the cluster. The result is about 1 for a ball and a cube, and 0.6 for a thin
-    horseshoe. It is 1 for up to d + 1 members, which say too little.
+    Three evenly spaced points are sampled on the line between any two members. A point belongs to the cluster if two
+    conditions hold. The scenario nearest to the point is a member. The distance to this member is at most the 95 %
+    quantile of the distances from each member to its neighbour of rank 2 d in the cluster, with d dimensions. The
+    result is about 1 for a ball and a cube, and 0.6 for a thin horseshoe. It is 1 for up to d + 1 members, which are
+    too few to judge.
     """
     cluster_points = points[is_member]
     count, dimensions = cluster_points.shape
@@ -44,20 +45,20 @@ def measure_convexity(points: FloatArray, is_member: BoolArray) -> float:
 
 
 def _evenly_spaced_pairs(n_points: int) -> tuple[IntArray, IntArray]:
-    """Evenly spaced pairs out of all pairs of `n_points` points; all pairs if there are few."""
+    """Return evenly spaced pairs of indices out of all pairs of `n_points` points; all pairs if there are few."""
     pairs = n_points * (n_points - 1) // 2
     sample = np.linspace(0, pairs - 1, min(pairs, _MAX_PAIRS)).astype(np.int64)
     rows = np.arange(n_points)
-    # Number of pairs before those of each scenario with later ones.
+    # Number of pairs that precede the pairs of each scenario with later scenarios.
     before = rows * (2 * n_points - rows - 1) // 2
     first = np.searchsorted(before, sample, side="right") - 1
     return first, sample - before[first] + first + 1
 
 
 def split_into_convex_parts(points: FloatArray, is_member: BoolArray) -> list[IntArray]:
-    """Divide a cluster into the smallest number of convex parts that k-means finds; return indices, largest part first.
+    """Divide a cluster into the smallest number of convex parts that k-means finds; return the indices of each part.
 
-    There is one part if the cluster is convex, and none if six parts are not enough.
+    The largest part is first. There is one part if the cluster is convex, and none if six parts are not enough.
     """
     indices = np.flatnonzero(is_member)
     if measure_convexity(points, is_member) >= MIN_CONVEXITY:
@@ -74,7 +75,7 @@ def split_into_convex_parts(points: FloatArray, is_member: BoolArray) -> list[In
 
 
 def _convexity_of_part(points: FloatArray, is_member: BoolArray, part: IntArray) -> float:
-    """Convexity of a part, ignoring the other parts of its cluster."""
+    """Measure the convexity of a part of a cluster, ignoring the other parts."""
     is_visible = ~is_member
     is_visible[part] = True
     is_part = np.zeros(len(points), dtype=np.bool_)

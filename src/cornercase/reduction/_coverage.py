@@ -26,30 +26,29 @@ _N_REACHES: Final = 120
 
 @dataclass(frozen=True)
 class Coverage:
-    """Coverage by a reduced set: distances from every scenario to the nearest selected one.
+    """Coverage by a reduced set: statistics of the distances from every scenario to the nearest selected scenario.
 
-    They have the unit of the distances. All values but `held_out` are in-sample: they describe the scenarios from which
-    the set was selected.
+    All values except `held_out` are in-sample: they describe the scenarios from which the set was selected.
 
     Attributes
     ----------
     kept : int
         Number of scenarios selected.
     largest, mean : float
-        Largest and mean distance.
+        Largest and mean distance, in the unit of the distances.
     worst : int
-        The scenario at the largest distance: by index, or by id if ids were given.
+        The scenario at the largest distance: its index, or its id if ids were given.
     largest_relative, mean_relative : float
-        The same as shares of the largest distance of any two scenarios; 0 if all are identical.
+        `largest` and `mean` as shares of the largest distance of any two scenarios; 0 if all are identical.
     random_largest, random_mean : float
-        Medians of the same figures over random selections of the same size.
+        Medians of the largest and of the mean distance over random selections of the same size.
     better_largest, better_mean : float
         Shares of the random selections with a larger maximum, and with a larger mean, than the set.
     medoids_largest, medoids_mean : float
-        The same figures of k-medoids of the same number, which minimise the mean. Like `better_largest` and
+        Largest and mean distance for k-medoids of the same number, which minimise the mean. Like `better_largest` and
         `better_mean`, they are NaN in a study that an early version reduced.
     held_out : HeldOut or None, default None
-        Cross-validated; None if not measured.
+        Cross-validated distances; None if not measured.
 
     Examples
     --------
@@ -77,7 +76,7 @@ class Coverage:
 
 @dataclass(frozen=True, eq=False)
 class NearestDistances:
-    """Distances from every scenario to the nearest selected one, for the reduced set and for baselines.
+    """Distances from every scenario to the nearest selected scenario, for the reduced set and for baselines.
 
     `to_selected`, shape (n,), is for the reduced set, and `to_medoids`, shape (n,), for k-medoids of the same number.
     `to_random`, shape (draws, n), is for random selections of the same size.
@@ -90,11 +89,12 @@ class NearestDistances:
 
 @dataclass(frozen=True, eq=False)
 class CoverageCurves:
-    """How near scenarios are to the reduced set, compared with baselines, as the report draws it.
+    """Curves of the share of scenarios within a distance of the reduced set, compared with baselines, for the report.
 
     `to_selected` and `to_medoids`, shape (n,), are those of `NearestDistances`. `reach`, shape (m,), are distances from
-    0 on. `random_low` and `random_high`, shape (m,), are the 5 % and the 95 % quantile, over the random selections, of
-    the percentage of scenarios within these distances.
+    0 on. For each distance in `reach`, random selections have a percentage of scenarios within this distance.
+    `random_low` and `random_high`, shape (m,), are the 5 % and the 95 % quantile of this percentage over the random
+    selections.
     """
 
     to_selected: FloatArray
@@ -105,7 +105,7 @@ class CoverageCurves:
 
     @classmethod
     def from_nearest_distances(cls, nearest_distances: NearestDistances) -> CoverageCurves:
-        """Summarize the random selections."""
+        """Make coverage curves; the random selections are summarized by two quantiles."""
         to_selected, to_medoids = nearest_distances.to_selected, nearest_distances.to_medoids
         to_random = nearest_distances.to_random
         longest = max(float(to_selected.max()), float(to_medoids.max()), float(np.quantile(to_random, 0.99)), 1e-9)
@@ -115,7 +115,7 @@ class CoverageCurves:
 
 
 def percent_within(distances: FloatArray, reach: FloatArray) -> FloatArray:
-    """Return the percentage of distances that are at most as long as each of `reach`."""
+    """Return, for each distance in `reach`, the percentage of `distances` that are not longer."""
     return np.asarray(100.0 * np.searchsorted(np.sort(distances), reach, side="right") / max(len(distances), 1))
 
 
@@ -124,7 +124,7 @@ def measure_nearest_distances(
 ) -> NearestDistances:
     """Measure the distances from every scenario to the reduced set, to k-medoids and to random selections.
 
-    Repeated indices count once.
+    `selected` are indices; repeated indices count once.
     """
     indices = np.unique(np.asarray(selected, dtype=np.int64))
     return NearestDistances(
@@ -142,7 +142,7 @@ def measure_distances_to_random(
     draws: int = DEFAULT_DRAWS,
     seed: int = 0,
 ) -> FloatArray:
-    """Measure the distances of scenarios, by default all, to random selections as large as a set; shape (draws, m).
+    """Measure the distances of m scenarios, by default all, to random selections as large as `selected`, (draws, m).
 
     The random selections differ from those with which the reduced set was compared during selection.
     """
@@ -160,9 +160,10 @@ def measure_coverage(
     seed: int = 0,
     nearest_distances: NearestDistances | None = None,
 ) -> Coverage:
-    """Measure how well the selected scenarios, given by index, represent all; `ids` identify the worst scenario.
+    """Measure how well the scenarios with the indices `selected` represent all scenarios.
 
-    `nearest_distances` saves computing the distances again.
+    `distances` has shape (n, n). `ids`, shape (n,), identify the worst scenario. `nearest_distances` saves computing
+    the distances to the selected scenarios again.
     """
     matrix = distances if isinstance(distances, EmbeddedDistances) else np.asarray(distances, dtype=np.float64)
     if len(matrix.shape) != 2 or matrix.shape[0] != matrix.shape[1]:

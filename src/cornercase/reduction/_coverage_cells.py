@@ -16,8 +16,8 @@ class CellCoverageSums:
     """Coverage sum: weighted sum of powers of the distances to the nearest selected scenario, over all clusterings.
 
     `embeddings`, shape (n, p) each, are coordinates by clustering; distances are squared Euclidean. `usual_distances`
-    are the units of the distances; `power` is 2 or 3. At least one scenario is selected. `gains`, shape (n,), is by how
-    much each scenario would lower the sum, as of the last computation; the true gain can only be less.
+    are the units of the distances; `power` is 2 or 3. At least one scenario is selected. `gains`, shape (n,), has the
+    amount by which each scenario would lower the sum, when it was last computed; the true gain can only be less.
     """
 
     def __init__(
@@ -59,9 +59,9 @@ class CellCoverageSums:
         coverage_kernels.fill_gains(self.gains, self._cells)
 
     def pop_best_candidate(self) -> int | None:
-        """Return the scenario that lowers the sum most, the first if tied, only once each; None if there is no other.
+        """Return the scenario that lowers the coverage sum most, the first if tied; None if no scenario is left.
 
-        Only the largest gains are computed again, since gains never rise.
+        Each scenario is returned only once. Only the largest gains are computed again, since gains never rise.
         """
         index = int(coverage_kernels.find_best_candidate(self.gains, self._cells))
         if index < 0:
@@ -70,5 +70,5 @@ class CellCoverageSums:
         return index
 
     def add(self, index: int) -> None:
-        """Add a scenario to the selection."""
+        """Add the scenario with this index to the selection."""
         coverage_kernels.add_to_selection(index, self._cells)

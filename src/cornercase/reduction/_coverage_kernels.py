@@ -1,7 +1,7 @@
 """Compiled coverage sums for embedded scenarios, computed by cells (groups) of nearby scenarios.
 
-A newly selected scenario becomes the nearest one for few others, and most cells are too far away to contain any of
-these. So if many scenarios are selected, most distances are never computed.
+A newly selected scenario becomes the nearest selected scenario for few others, and most cells are too far away to
+contain any of these. So if many scenarios are selected, most distances are never computed.
 """
 
 # Compiled functions have no static types.
@@ -20,22 +20,22 @@ from cornercase._common.typing import FloatArray, IntArray
 from cornercase.clustering._cells import CELL_SIZE, MARGIN, fill_squares_to_centers, measure_cell_or_give_up
 
 MAX_KNOWN_TERMS = 192
-"""Largest number of terms of a scenario's gain that are kept, instead of searching the cells again."""
+"""Largest number of stored terms of a scenario's gain; with more terms, the cells are searched again."""
 
 
 class CoverageCells(NamedTuple):
     """Cells of scenarios in all clusterings, with the costs that the selection leaves uncovered.
 
     `coordinates`, (clusterings, n, stages, AXES), are in the order of the scenarios, the axis of largest variance
-    first; `members`, (clusterings, c, stages, AXES, CELL), are the same by cell. `centers`, (clusterings, AXES, c), and
-    `radii` are bounding balls of the cells in the first axes. `nearest_squares` are squared distances to the nearest
-    selected scenario, and `costs` follow from them. A scenario is nearest to none of a cell if its squared distance to
-    the centre is above `reach`.
+    first; `members`, (clusterings, c, stages, AXES, CELL), are the same coordinates by cell. `centers`, (clusterings,
+    AXES, c), and `radii` are bounding balls of the cells in the first axes. `nearest_squares` are squared distances to
+    the nearest selected scenario, and `costs` follow from them. If the squared distance of a scenario to a cell's
+    centre is above `reach`, it cannot become the nearest selected scenario of any member of the cell.
 
-    The gain of a scenario is a sum over scenarios that are nearer to it than to the selected ones; their number only
-    falls. Once there are at most `MAX_KNOWN_TERMS`, `n_terms`, shape (n,), is their number, otherwise -1.
-    `term_members`, (n, TERMS), are their positions in the flattened `costs`, and `term_costs` their costs if the
-    scenario is selected.
+    The gain of a scenario is a sum over scenarios that are nearer to it than to the selected scenarios; the number of
+    these terms only falls. Once there are at most `MAX_KNOWN_TERMS` terms, `n_terms`, shape (n,), is their number,
+    otherwise -1. `term_members`, (n, TERMS), are positions in the flattened `costs`, and `term_costs` the costs there
+    if the scenario is selected.
     """
 
     coordinates: FloatArray
@@ -55,7 +55,7 @@ class CoverageCells(NamedTuple):
 
 @kernel(error_model="numpy")
 def fill_gains(gains, cells):
-    """Write the amount by which each scenario would lower the coverage sum to `gains`."""
+    """Write to `gains` the amount by which each scenario would lower the coverage sum."""
     to_centers, to_members = np.empty(cells.members.shape[1]), np.empty(CELL_SIZE)
     for index in range(len(gains)):
         gains[index] = _gain_of(index, cells, to_centers, to_members)

@@ -1,4 +1,4 @@
-"""Coverage sums: the cost that selected scenarios leave uncovered, and the scenarios that reduce it most."""
+"""Coverage sums: the cost of scenarios far from all selected scenarios, and searches that lower this cost most."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ EXCHANGE_ROUNDS: Final = 3
 BLOCK_SIZE: Final = 256
 # Largest number of scenarios at which the usual distance of neighbours is sampled, for embedded distances.
 _NEIGHBOUR_SAMPLE: Final = 2000
-# Largest number of a neighbour that is searched for in a tree; with more, comparing all is faster.
+# Largest rank of a neighbour that is searched for in a tree; for higher ranks, comparing all scenarios is faster.
 _MAX_SEARCHED: Final = 30
 
 
 class SetComposition(NamedTuple):
-    """Shares and weights by which a reduced set of a given size is composed."""
+    """Shares and weights that determine which kinds of scenarios a reduced set of a given size contains."""
 
     archetype_share: float
     """Largest share of archetypes."""
@@ -62,7 +62,10 @@ class CoverageSums:
         )
 
     def _compute_costs(self, clustering: int, candidates: IntArray) -> FloatArray:
-        """Weighted costs in a clustering if only a candidate is selected: row per candidate, column per scenario."""
+        """Compute the weighted cost of each scenario, in a clustering, if only one candidate is selected.
+
+        The result has a row per candidate and a column per scenario.
+        """
         costs: FloatArray = self._distances[clustering][candidates] / self._usual_distances[clustering]
         # Products are many times as fast as a general power, and may differ in the last digit.
         use_products = self._is_embedded and self._power == 3
@@ -76,7 +79,7 @@ class CoverageSums:
         return [self._compute_costs(k, candidates) for k in range(len(self._distances))]
 
     def uncovered_costs(self, selected: Sequence[int]) -> list[FloatArray]:
-        """Return the cost of each scenario that the selected ones leave uncovered, shape (n,), for each clustering."""
+        """Return the cost of each scenario, given the selected scenarios, shape (n,), for each clustering."""
         left_costs = [np.full(len(self._weights), np.inf) for _ in self._distances]
         for first in range(0, len(selected), BLOCK_SIZE):
             batch = np.asarray(selected[first : first + BLOCK_SIZE], dtype=np.int64)
@@ -85,7 +88,10 @@ class CoverageSums:
         return left_costs
 
     def compute_gains(self, uncovered: Sequence[FloatArray], candidates: IntArray) -> FloatArray:
-        """Return by how much each candidate would lower the sum; `uncovered` are the uncovered costs."""
+        """Return the amount by which each candidate would lower the coverage sum.
+
+        `uncovered` has the present costs of all scenarios, shape (n,), for each clustering.
+        """
         gains = np.zeros(len(candidates))
         block = max(1, _CACHED_COSTS // len(self._weights))
         for first in range(0, len(candidates), block):
@@ -96,7 +102,10 @@ class CoverageSums:
         return gains
 
     def search_greedily(self, selected: Sequence[int]) -> CellCoverageSums | RowCoverageSums:
-        """Return the search for the scenario that lowers the sum most, given those selected so far."""
+        """Return a search object that finds one by one the scenarios that lower the coverage sum most.
+
+        `selected` are the indices of the scenarios selected so far.
+        """
         if self._is_embedded and self._all_costs is None:
             return self._make_cell_sums(selected)
         return RowCoverageSums(self, selected)
@@ -109,7 +118,7 @@ class CoverageSums:
         return CellCoverageSums(embeddings, self._usual_distances, heavy, self._power, selected)
 
     def exchange(self, selected: list[int], n_fixed: int, selection: Selection) -> list[int]:
-        """Exchange selected scenarios for others if that lowers the sum; return all selected scenarios.
+        """Exchange selected scenarios for others if this lowers the coverage sum; return all selected scenarios.
 
         The first `n_fixed` scenarios stay.
         """
@@ -133,7 +142,7 @@ class CoverageSums:
 
 
 class RowCoverageSums:
-    """Lazy greedy search on rows of a cost matrix; it has the methods of `CellCoverageSums`."""
+    """Lazy greedy search on rows of a matrix of costs; it has the methods of `CellCoverageSums`."""
 
     def __init__(self, sums: CoverageSums, selected: Sequence[int]) -> None:
         self._sums = sums
@@ -158,7 +167,7 @@ class RowCoverageSums:
 
 
 def _usual_neighbour_distance(distances: Distances, n_neighbours: int) -> float:
-    """Mean distance of scenarios to their `n_neighbours`-th neighbour; 1 if that is 0."""
+    """Return the mean distance of scenarios to the neighbour of rank `n_neighbours`; 1 if the mean is 0."""
     n = len(distances)
     # A slice of a matrix is not a copy.
     blocks: list[slice | IntArray] = [slice(first, first + BLOCK_SIZE) for first in range(0, n, BLOCK_SIZE)]

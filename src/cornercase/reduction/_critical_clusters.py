@@ -1,4 +1,4 @@
-"""Critical clusters of an analysis."""
+"""Critical clusters of an analysis: clusters whose median score is critical."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from cornercase.study import StudyFile
 def find_critical_clusters(study: StudyFile, analysis: Analysis) -> list[int]:
     """Return the clusters whose median score of the first metric is critical.
 
-    If that holds for all clusters, or there is no threshold, the result is the cluster with the most critical median.
+    If all clusters are critical or there is no threshold, the result is the single cluster with the most critical
+    median.
     """
     objective, labels = study.objective, analysis.labels
     metric = objective.metrics[0]

@@ -1,4 +1,4 @@
-"""Coverage of the critical scenarios, both those that were run and those that were not."""
+"""Coverage of critical scenarios by a reduced set, for scenarios that were run and for scenarios that were not."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ DEFAULT_SIMILARITY: Final = 0.5
 """Default share of the median distance within clusters up to which two scenarios are similar."""
 # Number of scenarios at which embedded distances are sampled.
 _SAMPLE_SIZE: Final = 1000
-# Most distances to selected scenarios that a Gaussian process learns from; up to here it is exact.
+# Largest number of distances from which a Gaussian process learns; up to this number the process is exact.
 _MAX_DISTANCES: Final = 512
 
 
 @dataclass(frozen=True)
 class CriticalCoverage:
-    """How well selected scenarios represent the critical ones, by one aspect.
+    """Coverage of the critical scenarios by the selected ones, for one aspect (what scenarios are compared by).
 
     The shares and distances are in-sample: selected critical scenarios count as similar to themselves. `held_out` and
     `unlike` are about scenarios outside of the sample.
@@ -40,17 +40,17 @@ class CriticalCoverage:
     within : float
         Largest distance of two similar scenarios, in the unit of the distances.
     critical, boundary : float or None
-        Share of the critical scenarios that were run, and of those on the boundary of the critical set, that are
-        similar to a selected one; None if there are none.
+        Share of scenarios that are similar to a selected scenario, among the critical scenarios that were run, and
+        among the critical scenarios on the boundary of the critical set; None if there are none.
     random, medoids : float or None
         The value of `critical` for the baselines: the median of 100 random selections of the same size, and k-medoids.
     largest, mean : float or None
-        Largest and mean distance of the critical scenarios that were run to the nearest selected one.
+        Largest and mean distance from critical scenarios that were run to the nearest selected scenario.
     medoids_largest, medoids_mean : float or None
-        The same for k-medoids.
+        Largest and mean distance from critical scenarios that were run to the nearest of the k-medoids.
     unlike : Estimate or None
-        Probability that a critical scenario drawn at random from the space is similar to no selected one; None if there
-        are too few critical scenarios.
+        Probability that a critical scenario drawn at random from the space is similar to no selected scenario; None if
+        there are too few critical scenarios.
     held_out : HeldOutCritical or None, default None
         Cross-validated shares; None if not measured.
 
@@ -89,14 +89,14 @@ def measure_critical_coverage(
     held_out: HeldOutDistances | None = None,
     random_distances: FloatArray | None = None,
 ) -> CriticalCoverage:
-    """Summarize how well selected scenarios represent the critical ones, from the distances to the selected ones.
+    """Measure how well selected scenarios represent the critical scenarios, from the distances to the selected ones.
 
-    `points`, shape (n, d), are in the unit cube. `scores` are lower where more critical. A critical scenario is on the
+    `points`, shape (n, d), are in the unit cube. `scores` are lower if more critical. A critical scenario is on the
     boundary if any of the 2 d scenarios nearest to it is not critical. Scenarios that were not run are predicted by two
     Gaussian processes over the parameter space. The first predicts the scores, the second the distance of critical
-    scenarios to the nearest selected one. Both are calibrated by leave-one-out as in `CriticalSet`. The second uses at
-    most 512 scenarios, drawn at random, with which it is exact; with more, intervals would be narrower.
-    `random_distances` are those of the critical scenarios to random selections, by default those in
+    scenarios to the nearest selected scenario. Both are calibrated by leave-one-out as in `CriticalSet`. The second
+    uses at most 512 scenarios, drawn at random, with which it is exact; with more, intervals would be narrower.
+    `random_distances` are the distances of the critical scenarios to random selections, by default those in
     `nearest_distances`.
     """
     critical = criterion.is_critical(scores)
@@ -156,10 +156,7 @@ def check_similarity(share: float) -> None:
 
 
 def _has_neighbour_among(points: FloatArray, is_other: BoolArray) -> BoolArray:
-    """Mask of the points that have any of the others among their 2 d nearest neighbours, shape (n,).
-
-    `is_other` marks these others.
-    """
+    """Return a mask, shape (n,), of points with any point of `is_other` among their 2 d nearest neighbours."""
     count = min(2 * points.shape[1], len(points) - 1)
     if count < 1:
         return np.zeros(len(points), dtype=np.bool_)

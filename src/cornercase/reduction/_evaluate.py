@@ -1,4 +1,4 @@
-"""Evaluation of the selected scenarios of a study, by each aspect in which the scenarios were analysed."""
+"""Evaluation of the selected scenarios of a study, by each aspect (what scenarios are compared by)."""
 
 from __future__ import annotations
 
@@ -39,7 +39,8 @@ from cornercase.study import ScenarioRecord, StudyFile
 class StudyData:
     """Finished scenarios and analyses of a study.
 
-    Rows are stored by id, scores by metric and id, and all other data by aspect.
+    `rows` are by scenario id, `scores` by metric and scenario id. `analyses` and `distances` are by aspect (what
+    scenarios are compared by).
     """
 
     study: StudyFile
@@ -49,7 +50,7 @@ class StudyData:
     distances: dict[str, Distances]
 
     def parameter_points(self, analysis: Analysis) -> FloatArray:
-        """Return the parameters of the scenarios of an analysis in the unit cube, shape (n, d)."""
+        """Return the parameters of the scenarios of an analysis as points in the unit cube, shape (n, d)."""
         return np.array([self.rows[i].point for i in analysis.ids.tolist()])
 
 
@@ -62,9 +63,9 @@ def load_study_data(study: StudyFile) -> StudyData:
 
 
 def measure_folds(data: StudyData, folds: Sequence[Fold]) -> dict[str, HeldOutDistances | None]:
-    """Measure the distances of held-out scenarios to the sets of their folds, by aspect.
+    """Measure, for each aspect, the distances of held-out scenarios to the set selected without them.
 
-    The scenarios of the folds are given by id.
+    Each fold of the cross-validation holds out other scenarios. Folds contain ids of scenarios.
     """
     return {
         name: measure_held_out_distances(
@@ -76,9 +77,9 @@ def measure_folds(data: StudyData, folds: Sequence[Fold]) -> dict[str, HeldOutDi
 
 
 def measure_nearest_distances_by_aspect(data: StudyData, selected: Sequence[int]) -> dict[str, NearestDistances]:
-    """Measure the distances from all scenarios to the selected ones, given by id, and to baselines, by aspect.
+    """Measure, for each aspect, the distances from all scenarios to the selected ones (by id) and to baselines.
 
-    An aspect is left out if no selected scenario was analysed by it.
+    An aspect (what scenarios are compared by) is left out if no selected scenario was analysed by it.
     """
     rows = {name: analysis.rows_of(list(selected)) for name, analysis in data.analyses.items()}
     return {name: measure_nearest_distances(data.distances[name], index) for name, index in rows.items() if len(index)}
@@ -93,7 +94,8 @@ def evaluate_coverage(
     """Measure, for each aspect, how well the selected scenarios represent all scenarios.
 
     `selected` are ids. `held_out` is the result of `measure_folds`. Given `nearest_distances`, the distances to the
-    selected scenarios are not computed again. The result lacks aspects by which no selected scenario was analysed.
+    selected scenarios are not computed again. An aspect (what scenarios are compared by) is left out if no selected
+    scenario was analysed by it.
     """
     coverage = {}
     for name, analysis in data.analyses.items():
@@ -113,11 +115,11 @@ def evaluate_critical_coverage(
     nearest_distances: Mapping[str, NearestDistances] | None = None,
     similar_distances: Mapping[str, float] | None = None,
 ) -> dict[str, CriticalCoverage]:
-    """Measure how well the selected scenarios, given by id, represent the critical ones, by aspect.
+    """Measure, for each aspect, how well the selected scenarios represent the critical scenarios.
 
-    The result is empty without a threshold. Two scenarios are similar up to a distance in `similar_distances`; by
-    default this is the share `similarity` of the median distance within clusters. Random selections are redrawn with
-    the seed of the study.
+    `selected` are ids. The result is empty without a threshold. Two scenarios are similar up to a distance in
+    `similar_distances`. By default this is the share `similarity` of the median distance within clusters. Random
+    selections are redrawn with the seed of the study.
     """
     meta, space = data.study.meta, data.study.space
     objective = data.study.objective

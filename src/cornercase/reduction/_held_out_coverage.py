@@ -1,7 +1,7 @@
-"""Cross-validation of the selection: how well a set represents scenarios that were not available to the selection.
+"""Cross-validation of the selection: how well a set represents scenarios that were not available for selection.
 
-A set represents the scenarios from which it was selected better than others. So the scenarios are divided in five
-folds. Each fold evaluates a set that was selected in the same way from the other four folds.
+A set represents the scenarios from which it was selected better than other scenarios. So the scenarios are divided into
+five folds. Each fold evaluates a set that was selected in the same way from the other four folds.
 """
 
 from __future__ import annotations
@@ -32,9 +32,10 @@ _MAX_ALL_FOLDS: Final = 600
 
 @dataclass(frozen=True, eq=False)
 class Fold:
-    """One fold of the cross-validation: the scenarios that evaluate a set, and the set selected from the others.
+    """One fold of the cross-validation: the held-out scenarios, and the set that was selected from the others.
 
-    Scenarios are given by index or by id.
+    `training` are the scenarios from which `selected` were selected. `held_out` are the scenarios that evaluate the
+    set. Scenarios are given by index or by id.
     """
 
     training: IntArray
@@ -44,20 +45,21 @@ class Fold:
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Cross-validated distances from scenarios to the nearest selected one, in the unit of the distances.
+    """Cross-validated distances from held-out scenarios to the nearest scenario of a set selected without them.
 
     Attributes
     ----------
     scenarios : int
         Number of scenarios that were held out.
     largest, mean : float
-        Largest and mean distance.
+        Largest and mean distance, in the unit of the distances.
     random_largest, random_mean : float
-        Medians of the same figures over random selections of the same size, from the same scenarios.
+        Medians of the largest and of the mean distance over random selections of the same size, from the same
+        scenarios.
     better_largest, better_mean : float
-        Shares of the random selections with a larger maximum, and with a larger mean.
+        Shares of the random selections with a larger maximum, and with a larger mean, than the set.
     medoids_largest, medoids_mean : float
-        The same figures of k-medoids of the same scenarios.
+        Largest and mean distance for k-medoids of the same scenarios.
 
     Examples
     --------
@@ -80,16 +82,16 @@ class HeldOut:
 
 @dataclass(frozen=True)
 class HeldOutCritical:
-    """Cross-validated shares of critical scenarios that are similar to a selected one.
+    """Cross-validated shares of held-out critical scenarios that are similar to a selected scenario.
 
     Attributes
     ----------
     scenarios : int
         Number of critical scenarios that were held out, at least one.
     critical : float
-        Share of them that are similar to a selected one.
+        Share of the held-out critical scenarios that are similar to a selected scenario.
     boundary : float or None
-        The same for those on the boundary of the critical set; None if there are none.
+        The same share among the scenarios on the boundary of the critical set; None if there are none.
     random, medoids : float
         The value of `critical` for the baselines: the median of 100 random selections of the same size, and k-medoids.
 
@@ -110,7 +112,7 @@ class HeldOutCritical:
 
 @dataclass(frozen=True, eq=False)
 class HeldOutDistances:
-    """Distances from m held-out scenarios to the nearest selected one, to k-medoids, and to random selections.
+    """Distances from m held-out scenarios to the nearest selected scenario, to k-medoids, and to random selections.
 
     `held_out`, shape (m,), are the indices of the scenarios. `to_selected` and `to_medoids` have shape (m,), and
     `to_random` has shape (draws, m).
@@ -123,9 +125,9 @@ class HeldOutDistances:
 
 
 def draw_folds(n_scenarios: int) -> list[IntArray]:
-    """Divide scenarios into five random folds; return the indices of the held-out scenarios of each.
+    """Divide scenarios into five random folds; return the indices of the held-out scenarios of each fold.
 
-    With more than 600 scenarios only the first fold is returned, with fewer than 10 none.
+    With more than 600 scenarios only the first fold is returned, with fewer than 10 no fold.
     """
     if n_scenarios < _MIN_SCENARIOS:
         return []
@@ -141,14 +143,14 @@ def measure_held_out_distances(all_distances: Distances, all_folds: Sequence[Fol
     if not folds:
         return None
     for k, fold in enumerate(folds):
-        to_judging = submatrix(all_distances, fold.training, fold.held_out)
+        to_held_out = submatrix(all_distances, fold.training, fold.held_out)
         within_training = submatrix(all_distances, fold.training, fold.training)
         choices = draw_random_selections(len(fold.training), len(fold.selected), stream="grading", seed=k)
         selected = np.flatnonzero(np.isin(fold.training, fold.selected))
         medoid_indices = find_k_medoids(within_training, len(fold.selected))
-        to_selected.append(distances_to_nearest_per_selection(to_judging, selected[None])[0])
-        medoids.append(distances_to_nearest_per_selection(to_judging, medoid_indices[None])[0])
-        random.append(distances_to_nearest_per_selection(to_judging, choices))
+        to_selected.append(distances_to_nearest_per_selection(to_held_out, selected[None])[0])
+        medoids.append(distances_to_nearest_per_selection(to_held_out, medoid_indices[None])[0])
+        random.append(distances_to_nearest_per_selection(to_held_out, choices))
     return HeldOutDistances(
         np.concatenate([fold.held_out for fold in folds]),
         np.concatenate(to_selected),
@@ -158,7 +160,7 @@ def measure_held_out_distances(all_distances: Distances, all_folds: Sequence[Fol
 
 
 def summarize_distances(to_selected: FloatArray, to_medoids: FloatArray, to_random: FloatArray) -> dict[str, float]:
-    """Summarize distances by the figures that `HeldOut` and `Coverage` have in common.
+    """Summarize distances to the nearest selected scenario by the figures that `HeldOut` and `Coverage` share.
 
     The distances have shape (m,), (m,) and (draws, m).
     """
@@ -193,10 +195,10 @@ def summarize_held_out_critical(
     boundary_mask: BoolArray,
     similar_distance: float,
 ) -> HeldOutCritical | None:
-    """Return the shares of critical held-out scenarios that are near a selected one; None if there are none.
+    """Return the shares of critical held-out scenarios that are similar to a selected one; None if none are critical.
 
-    They are near up to `similar_distance`. `critical_mask` and `boundary_mask`, shape (n,), mark the critical
-    scenarios, and those on the boundary of the critical set.
+    Two scenarios are similar up to `similar_distance`. `critical_mask` and `boundary_mask`, shape (n,), mark the
+    critical scenarios, and the scenarios on the boundary of the critical set.
     """
     if held_out_distances is None or not critical_mask[held_out_distances.held_out].any():
         return None

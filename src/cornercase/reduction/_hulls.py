@@ -1,7 +1,8 @@
-"""Convex hulls of clusters in the parameter space, and the archetypes at their corners.
+"""Convex hulls of clusters in the parameter space, and the archetypes (extreme scenarios) at their corners.
 
-As in the paper, the archetypes of a cluster are vertices of its convex hull; all its other scenarios lie between them.
-A. Cutler and L. Breiman, "Archetypal analysis", 1994, show that archetypes lie on the hull.
+As in the paper that cornercase follows, the archetypes of a cluster are vertices of its convex hull; all other
+scenarios of the cluster lie between them. A. Cutler and L. Breiman, "Archetypal analysis", 1994, show that archetypes
+lie on the hull.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from scipy.spatial import ConvexHull, QhullError
 from cornercase._common.errors import InputError
 from cornercase._common.typing import IntArray
 
-# The number of facets grows so fast with the dimensions that hulls beyond these are useless.
+# The number of facets grows so fast with the number of dimensions that hulls of more dimensions are useless.
 MAX_HULL_DIMENSIONS = 6
 _RANK_TOLERANCE = 1e-9
 
@@ -24,8 +25,8 @@ _RANK_TOLERANCE = 1e-9
 class Hull:
     """Convex hull of some points: ascending indices of its vertices, and facets, shape (m, r), as indices.
 
-    r is the number of dimensions that the points span. Facets are triangles in space, edges in a plane (also if the
-    plane lies in space), and the two ends of a line. A single point has facets of shape (0, 0).
+    r is the number of dimensions that the points span. In three dimensions facets are triangles, in a plane edges, and
+    on a line the two ends. A single point has facets of shape (0, 0).
     """
 
     vertices: IntArray
@@ -35,8 +36,8 @@ class Hull:
 def find_convex_hull(points: npt.ArrayLike) -> Hull:
     """Find the convex hull of at least one point; the points may lie in a plane, on a line or at the same position.
 
-    If points do not span all dimensions, the hull is that in the subspace that they span. Beyond 6 dimensions it is the
-    hull in the 6 directions of largest variance. Of identical points the first counts.
+    If points do not span all dimensions, the result is the hull in the subspace that they span. With more than 6
+    dimensions it is the hull in the 6 directions of largest variance. Of identical points, only the first is used.
     """
     array = np.asarray(points, dtype=np.float64)
     if array.ndim != 2 or not array.size:
@@ -65,9 +66,9 @@ def find_convex_hull(points: npt.ArrayLike) -> Hull:
 def find_hull_archetypes(points: npt.ArrayLike, k: int | None = None) -> IntArray:
     """Return at most `k` vertices of the convex hull that differ most, as rising indices; by default all vertices.
 
-    They are selected by farthest-first traversal (Gonzalez, "Clustering to minimize the maximum intercluster distance",
-    1985). The first vertex is the one farthest from the mean. Each further vertex is the one farthest from those
-    selected before, the first if tied.
+    The vertices are selected by farthest-first traversal (Gonzalez, "Clustering to minimize the maximum intercluster
+    distance", 1985). The first vertex is the one farthest from the mean. Each further vertex is the one farthest from
+    the vertices selected before, the first if tied.
     """
     if k is not None and k < 1:
         raise InputError(f"`k` {k}: give at least 1.")

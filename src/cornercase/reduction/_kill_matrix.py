@@ -1,4 +1,4 @@
-"""Mutation analysis: which scenarios kill which mutants of a driver."""
+"""Mutation analysis: which scenarios kill (expose) which mutants (drivers made worse in one respect)."""
 
 from __future__ import annotations
 
@@ -17,9 +17,10 @@ _TAIL_PROBABILITY: Final = 0.025
 
 @dataclass(frozen=True, eq=False)
 class KillMatrix:
-    """Kill matrix: which scenarios kill which mutants of a driver.
+    """Kill matrix: which scenarios kill which mutants (versions of a driver made worse in one respect).
 
-    A scenario kills a mutant if the original driver violates no requirement in it, and the mutant violates one.
+    A scenario kills a mutant if, in this scenario, the original driver violates no requirement and the mutant violates
+    at least one.
 
     Attributes
     ----------
@@ -27,19 +28,20 @@ class KillMatrix:
         Original driver.
     requirements : tuple of str
     scenarios : tuple of int
-        Ids.
+        Ids of the scenarios that were run with the mutants.
     failed : ndarray of bool, shape (n,)
-        Scenarios in which the original driver violates a requirement, or that could not be run; they kill nothing.
+        True for a scenario in which the original driver violates a requirement, or that could not be run. This
+        scenario kills nothing.
     mutants : tuple of Mutant
     kills : ndarray of bool, shape (n, m)
         Whether a scenario kills a mutant.
     held_out : KillMatrix or None
-        Kill matrix of other mutants of the driver in the same scenarios. It evaluates a selection by the mutants of
-        this matrix.
+        Kill matrix of other mutants of the driver in the same scenarios, to evaluate a selection that was made by the
+        mutants of this matrix.
 
     Examples
     --------
-    `cornercase.suite.analyze_mutants` makes it; here are two scenarios and two mutants:
+    `cornercase.suite.analyze_mutants` makes a kill matrix. This one has two scenarios and two mutants:
 
     >>> import numpy as np
     >>> from cornercase.drivers import generate_mutants
@@ -61,17 +63,17 @@ class KillMatrix:
     held_out: KillMatrix | None = None
 
     def kills_of(self, scenarios: Sequence[int]) -> BoolArray:
-        """Return which mutants are killed by some scenarios.
+        """Return which of the m mutants each of some scenarios kills.
 
         Parameters
         ----------
         scenarios : sequence of int, length k
-            Ids.
+            Ids of scenarios.
 
         Returns
         -------
         ndarray of bool, shape (k, m)
-            A scenario that was not run with the mutants kills none.
+            Rows are scenarios. A scenario that was not run with the mutants kills none.
         """
         index_of = {scenario: i for i, scenario in enumerate(self.scenarios)}
         rows = np.zeros((len(scenarios), len(self.mutants)), dtype=np.bool_)
@@ -81,12 +83,12 @@ class KillMatrix:
         return rows
 
     def mutation_score(self, scenarios: Sequence[int] | None = None) -> MutationScore:
-        """Return the mutation score of some scenarios.
+        """Return the mutation score of some scenarios: how many mutants they kill together.
 
         Parameters
         ----------
         scenarios : sequence of int, optional
-            Ids; by default all.
+            Ids of scenarios; by default all.
 
         Returns
         -------
@@ -115,7 +117,7 @@ class KillMatrix:
 
     @property
     def summary_text(self) -> str:
-        """Sentence without a full stop: how many mutants all scenarios together kill."""
+        """Number of mutants that all scenarios together kill, as a sentence without a full stop."""
         count, total = len(self.mutants) - len(self.survivors), len(self.mutants)
         low, high = clopper_pearson_interval(count, total, _TAIL_PROBABILITY)
         interval = f"{low:.0%} to {high:.0%} with 95 % confidence"
@@ -150,17 +152,17 @@ class KillMatrix:
 
 @dataclass(frozen=True)
 class MutationScore:
-    """Mutation score: how many mutants some scenarios kill.
+    """Mutation score: how many mutants (drivers made worse in one respect) some scenarios kill.
 
     Attributes
     ----------
     mutants : int
         Number of mutants.
     killable : int
-        Number killed by at least one of all scenarios that were run; the others may be as good as the original there
-        (equivalent mutants).
+        Number of mutants killed by at least one of all scenarios that were run. In these scenarios, the other mutants
+        may be as good as the original driver (equivalent mutants).
     killed : int
-        Number killed by the scenarios in question.
+        Number of mutants killed by the scenarios in question.
 
     Examples
     --------
@@ -176,16 +178,16 @@ class MutationScore:
 
     @property
     def share(self) -> float:
-        """Killed mutants, as a share of those that can be killed; NaN if none can."""
+        """Killed mutants as a share of the mutants that any scenario kills; NaN if there are none."""
         return self.killed / self.killable if self.killable else float("nan")
 
     @property
     def interval(self) -> tuple[float, float]:
-        """95 % interval of the share (Clopper and Pearson), for mutants drawn in the same way."""
+        """95 % Clopper-Pearson interval of `share`, for mutants drawn in the same way."""
         return clopper_pearson_interval(self.killed, self.killable, _TAIL_PROBABILITY)
 
     def to_json(self) -> dict[str, Any]:
-        """Return plain values.
+        """Convert to plain values, for JSON.
 
         Returns
         -------
@@ -202,12 +204,12 @@ class MutationScore:
 
 @dataclass(frozen=True)
 class MutantSelection:
-    """Result of a selection by mutants: mutation scores of the selected scenarios.
+    """Result of a selection by mutants (drivers made worse in one respect): scores of the selected scenarios.
 
     Attributes
     ----------
     driver : str
-        Original driver.
+        Driver from which the mutants are derived.
     requirements : tuple of str
         Requirements that a mutant could violate.
     candidates : int
@@ -238,7 +240,7 @@ class MutantSelection:
 
     @property
     def summary_text(self) -> str:
-        """Result as a sentence without a full stop."""
+        """Mutation scores of the selection, as a sentence without a full stop."""
         score = self.held_out
         if score is None:
             return f"it exposes {self.chosen_by.killed} of the {self.chosen_by.mutants} mutants that chose"
@@ -253,7 +255,7 @@ class MutantSelection:
         )
 
     def to_json(self) -> dict[str, Any]:
-        """Return plain values.
+        """Convert to plain values, for JSON.
 
         Returns
         -------

@@ -1,4 +1,4 @@
-"""Selection of scenarios that kill as many mutants of a driver as possible."""
+"""Selection of scenarios that kill (expose) as many mutants of a driver as possible."""
 
 from __future__ import annotations
 
@@ -26,12 +26,13 @@ _GAIN_TOLERANCE: Final = 1e-12
 def select_killing(kills: BoolArray, distances_to: Callable[[Sequence[int]], FloatArray], size: int) -> list[int]:
     """Select at most `size` scenarios that kill as many mutants as possible, each mutant several times.
 
-    The scenario that kills most is added greedily. A mutant counts half as much with each selected scenario that kills
-    it already. The sum of these counts is submodular, so the result reaches at least 63 % of the maximum (G. L.
-    Nemhauser, L. A. Wolsey, M. L. Fisher, "An analysis of approximations for maximizing submodular set functions",
-    1978). If tied, the scenario farthest from the selected ones is added. Scenarios similar to a selected one are
-    skipped. `kills`, shape (n, m), says which scenario kills which mutant. `distances_to` returns distances to all
-    scenarios, like `Selection.distances_to`.
+    A mutant is a driver made worse in one respect. A scenario kills a mutant if the mutant violates a requirement
+    there, and the original driver violates none. The scenario that kills most is added greedily. A mutant counts half
+    as much with each selected scenario that kills it already. The sum of these counts is submodular, so the result
+    reaches at least 63 % of the maximum (G. L. Nemhauser, L. A. Wolsey, M. L. Fisher, "An analysis of approximations
+    for maximizing submodular set functions", 1978). If tied, the scenario farthest from the selected ones is added.
+    Scenarios similar to a selected one are skipped. `kills`, shape (n, m), says which scenario kills which mutant.
+    `distances_to` returns distances from some scenarios to all scenarios, like `Selection.distances_to`.
     """
     n_kills = np.zeros(kills.shape[1])
     is_candidate = kills.any(axis=1)
@@ -51,7 +52,7 @@ def select_killing(kills: BoolArray, distances_to: Callable[[Sequence[int]], Flo
 def add_mutant_selection(
     reduced: ReducedSet, kill_matrix: KillMatrix, ids_without_mutants: Sequence[int]
 ) -> ReducedSet:
-    """Add to a reduced set how many mutants it kills, compared with the set selected without mutants."""
+    """Add to a reduced set its mutation scores, and those of the set that was selected without mutants."""
     scenarios, already_killed = [], np.zeros(len(kill_matrix.mutants), dtype=np.bool_)
     for scenario, exposed in zip(reduced.scenarios, kill_matrix.kills_of(reduced.ids), strict=True):
         scenarios.append(

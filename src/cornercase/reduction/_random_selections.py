@@ -1,7 +1,7 @@
 """Random selections of scenarios, as a baseline.
 
 A selection that was chosen by comparison with some random draws must not be evaluated with the same draws. So there are
-independent random streams: for choosing, for evaluating, and for dividing scenarios into folds.
+independent random streams: one to choose a selection, one to evaluate it, and one to divide scenarios into folds.
 """
 
 from __future__ import annotations
@@ -24,7 +24,10 @@ _SPAWN_KEYS: Final[dict[str, tuple[int, ...]]] = {"choosing": (), "grading": (1,
 def draw_random_selections(
     n_scenarios: int, size: int, *, stream: Literal["choosing", "grading"], draws: int = DEFAULT_DRAWS, seed: int = 0
 ) -> IntArray:
-    """Draw random selections of scenarios, as indices of shape (draws, size); different streams are independent."""
+    """Draw random selections of scenarios, as indices of shape (draws, size).
+
+    The stream ``"choosing"`` is for choosing a selection, and the independent stream ``"grading"`` for evaluating one.
+    """
     if draws < 1:
         raise InputError(f"`draws` {draws}: give at least 1.")
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=_SPAWN_KEYS[stream]))
@@ -32,7 +35,7 @@ def draw_random_selections(
 
 
 def draw_fold_order(n_scenarios: int) -> IntArray:
-    """Draw a random order of scenarios, by which they are divided into folds."""
+    """Draw a random order of scenarios, by which scenarios are divided into folds for cross-validation."""
     rng = np.random.default_rng(np.random.SeedSequence(0, spawn_key=_SPAWN_KEYS["dividing"]))
     return rng.permutation(n_scenarios)
 
@@ -40,7 +43,7 @@ def draw_fold_order(n_scenarios: int) -> IntArray:
 def distances_to_nearest_per_selection(
     distances: Distances, selections: IntArray, scenarios: IntArray | None = None
 ) -> FloatArray:
-    """Return the distance of scenarios, by default all, to the nearest one in each selection, shape (draws, m)."""
+    """Return the distance of m scenarios, by default all, to the nearest scenario of each selection, (draws, m)."""
     if isinstance(distances, EmbeddedDistances):
         return distances.distances_to_nearest_per_choice(selections, scenarios)
     columns = slice(None) if scenarios is None else scenarios
@@ -49,7 +52,7 @@ def distances_to_nearest_per_selection(
 
 
 def distances_to_nearest(distances: Distances, selection: IntArray) -> FloatArray:
-    """Return the distance of every scenario to the nearest one in a selection, shape (n,)."""
+    """Return the distance of every scenario to the nearest scenario of a selection, shape (n,)."""
     if isinstance(distances, EmbeddedDistances):
         return distances.distances_to_nearest(selection)
     distances_to_choice: FloatArray = distances[:, selection].min(axis=1)
@@ -57,7 +60,7 @@ def distances_to_nearest(distances: Distances, selection: IntArray) -> FloatArra
 
 
 def submatrix(distances: Distances, rows: IntArray, columns: IntArray) -> Distances:
-    """Return the distances from some scenarios to some others, as a matrix or embedded like `distances`."""
+    """Return the distances from the scenarios `rows` to the scenarios `columns`, in the same form as `distances`."""
     if isinstance(distances, EmbeddedDistances):
         return distances.subset(rows, columns)
     part: FloatArray = distances[np.ix_(rows, columns)]

@@ -52,8 +52,8 @@ from cornercase.study._import_recordings import IMPORTED_SIMULATOR
 from cornercase.study._scenario_file import find_explored_scenario
 from cornercase.study._study_file import open_study
 
-# Bytes per pair in a matrix and in what the selection derives from it, per scenario and aspect in embeddings and gaps
-# of random selections, and for blocks of distances.
+# Needed memory in bytes: per pair of scenarios for a matrix of distances and what the selection derives from it; per
+# scenario and aspect for embeddings and random selections; and for blocks of distances.
 _BYTES_PER_PAIR: Final = 20
 _BYTES_PER_SCENARIO: Final = 5_000
 _BYTES_OF_BLOCKS: Final = 600_000_000
@@ -66,7 +66,7 @@ _REASONS: Final = {
     "prototype": "the scenario most like all others of {cluster}",
     "critical prototype": "the scenario most like the critical ones of {cluster}",
     "gap": "for what is unlike all others that are kept",
-    # Completed by `add_mutant_selection` once all are selected.
+    # `add_mutant_selection` completes this text once all scenarios are selected.
     "exposing": "exposes mutants of the driver",
 }
 
@@ -97,44 +97,45 @@ def reduce(
     Parameters
     ----------
     study : Study, StudyFile or path
-        Open for writing, or the file; analysed.
+        Study that was analysed: an object open for writing, or the path of the file.
     folder : path
-        Folder to write. Each file in it runs by itself and gives the same recording; ``manifest.json`` says why each
-        was selected. For a study of imported recordings only the manifest is written. An earlier set in the folder is
-        replaced as a whole; other files are left alone.
+        Folder to write. Each scenario file in the folder runs by itself and gives the same recording.
+        ``manifest.json`` says why each scenario was selected. For a study of imported recordings only the manifest is
+        written. An earlier set in the folder is replaced as a whole; other files are left alone.
     by : str, optional
-        Aspect whose clusters count; by default that whose clusters say most about how scenarios end, as the page shows
-        first; the metric that was searched if there are several clusters by none. ``"bands:METRIC"`` represents each
-        band of high, medium and low criticality by a metric instead, by which the study was analysed.
+        Aspect (what scenarios are compared by) whose clusters are represented. The default is the aspect whose clusters
+        say most about how scenarios end, which the page shows first. If no aspect has several clusters, the default is
+        the metric that was searched. ``"bands:METRIC"`` represents bands of high, medium and low criticality by a
+        metric instead of clusters; the study must have been analysed by this metric.
     size : int, optional
         Number of scenarios to select.
     share : float, optional
         Share of all scenarios to select, above 0 and up to 1.
     cover : float, optional
-        Select as few scenarios as possible, such that the distance of each scenario to a selected one is at most this
-        share of the largest distance.
+        Select as few scenarios as possible, such that the distance of each scenario to the nearest selected scenario is
+        at most this share of the largest distance.
     archetypes : int or "auto", optional
-        Select only the prototype of each cluster and at most this many archetypes, as the paper does; ``"auto"``
-        selects about a tenth of all scenarios.
+        Select from each cluster only the prototype (most central scenario) and at most this many archetypes (extreme
+        scenarios), as in the paper that cornercase follows. ``"auto"`` selects about a tenth of all scenarios.
     archetypes_by : {"auto", "hull", "pcha", "parts", "kernel"}, default "auto"
-        How archetypes are found: corners of the hull, archetypal analysis, corners of the hulls of near-convex parts,
-        or archetypal analysis in kernel space; ``"auto"`` decides by the convexity of each cluster.
+        Method that finds archetypes: corners of the hull, archetypal analysis, corners of the hulls of near-convex
+        parts, or archetypal analysis in kernel space. ``"auto"`` decides by the convexity of each cluster.
     within : float, default 0.5
-        Share of the median distance within clusters up to which two scenarios are similar; for the coverage of the
-        critical scenarios.
+        Share of the median distance within clusters up to which two scenarios count as similar. The coverage of the
+        critical scenarios depends on it.
     critical : float, optional
-        Score from which a scenario is critical, to select and to evaluate by; by default that of the study, which is
-        not changed.
+        Score from which a scenario is critical, for selection and evaluation. The default is the threshold of the
+        study, which is not changed.
     kill_matrix : KillMatrix, optional
-        Which scenarios kill which mutants of the driver, from `cornercase.suite.analyze_mutants`: scenarios that
-        kill as many as possible come first, then those that are selected without.
+        Which scenarios kill which mutants of the driver, from `cornercase.suite.analyze_mutants`. Scenarios that
+        together kill as many mutants as possible come first, then the scenarios that are selected without mutants.
     scenario : path or ScenarioFile, optional
-        File that was explored, from which the files are made. By default it is searched at the path in the study, next
-        to the study and in the current folder, and recognised by its fingerprint.
+        File that was explored, from which the scenario files are made. By default it is searched at the path in the
+        study, next to the study and in the current folder, and recognised by its fingerprint.
     memory : str or float, default "4 GB"
         Memory limit of the process, in bytes or as text.
     progress : bool, default False
-        Show a bar for what takes more than two seconds.
+        Show a progress bar for steps that take more than two seconds.
 
     Returns
     -------
@@ -144,14 +145,14 @@ def reduce(
     Raises
     ------
     InputError
-        The study was not analysed, an argument is out of range, the scenario file is not found or not the one that was
-        explored, the folder cannot be written, or the distances do not fit in the memory.
+        The study was not analysed, an argument is out of range, the scenario file is missing or differs from the
+        explored file, the folder cannot be written, or the distances do not fit in the memory.
 
     Warns
     -----
     NoticeWarning
-        Fewer are selected than `size` or `share` asks for, since all others are similar to a selected one; or scenarios
-        were run since the analysis, which represent nothing and are not represented.
+        Fewer scenarios are selected than `size` or `share` asks for, since all others are similar to a selected one. Or
+        scenarios were run after the analysis; these are neither selected nor represented.
 
     See Also
     --------
@@ -221,7 +222,11 @@ def reduce(
 
 
 def default_aspect(study: StudyFile) -> str:
-    """Return the aspect by which scenarios are selected unless another one is given."""
+    """Return the aspect by which scenarios are selected by default.
+
+    An aspect is what scenarios are compared by. The default aspect has the clusters that say most about how scenarios
+    end. If no aspect has several clusters, it is the metric that was searched.
+    """
     analyses = read_analyses(study)
     searched, headline = study.meta.metrics[0], find_headline_aspect(analyses)
     if headline is None or (searched in analyses and analyses[headline].clustering.n_clusters <= 1):
@@ -230,7 +235,11 @@ def default_aspect(study: StudyFile) -> str:
 
 
 def _read_groups(study: StudyFile, by: str) -> tuple[Analysis, list[str]]:
-    """Read the clusters by an aspect, and no names; or, for ``bands:METRIC``, bands in their place, and their names."""
+    """Read the groups of scenarios that are to be represented, and their names.
+
+    By default the groups are the clusters by an aspect, without names. For ``bands:METRIC``, bands of criticality take
+    the place of clusters, with names.
+    """
     if not by.startswith(BANDS_PREFIX):
         return read_analysis(study, by), []
     metric = by.removeprefix(BANDS_PREFIX)
@@ -243,7 +252,7 @@ def _read_groups(study: StudyFile, by: str) -> tuple[Analysis, list[str]]:
 
 
 def _name_bands(reduced: ReducedSet, names: Sequence[str]) -> ReducedSet:
-    """Name bands instead of clusters in the reasons why scenarios are selected."""
+    """Replace clusters by the names of bands of criticality in the reasons why scenarios are selected."""
     scenarios = tuple(
         replace(entry, why=entry.why.replace(f"{reduced.by} {entry.cluster}", f"the {names[entry.cluster]}"))
         for entry in reduced.scenarios
@@ -261,7 +270,8 @@ def _warn_not_clustered(n_new: int, n_run: int) -> None:
 
 def _warn_fewer_selected(n_requested: int, n_selected: int, n_clustered: int, why_no_more: str) -> None:
     reason = (
-        f"each of the other {n_clustered - n_selected} is within a thousandth of the largest distance of one of these"
+        f"each of the other {n_clustered - n_selected} is nearly the same as a selected scenario (distance at most"
+        " 0.001 of the largest distance)"
     )
     if n_selected == n_clustered:
         reason = why_no_more or "the study has no more"
@@ -269,7 +279,7 @@ def _warn_fewer_selected(n_requested: int, n_selected: int, n_clustered: int, wh
 
 
 def _require_memory(study: StudyFile, memory_limit: MemoryLimit) -> None:
-    """Raise an error if the distances will not fit in memory; called before they are read."""
+    """Raise an error if the distances will not fit in memory, before they are read."""
     analyses = read_analyses(study).values()
     count = max(len(analysis.ids) for analysis in analyses)
     pairs = [len(analysis.ids) ** 2 for analysis in analyses if analysis.embedding_error is None]
@@ -279,7 +289,7 @@ def _require_memory(study: StudyFile, memory_limit: MemoryLimit) -> None:
 
 
 def _distances_by_aspect(data: StudyData, analysis: Analysis) -> list[Distances]:
-    """Distances by the main aspect first, then by the other aspects that have the same scenarios."""
+    """Return distances by the main aspect first, then by the other aspects that have the same scenarios."""
     others = [
         data.distances[name]
         for name, other in data.analyses.items()
@@ -291,7 +301,7 @@ def _distances_by_aspect(data: StudyData, analysis: Analysis) -> list[Distances]
 def _select_and_evaluate(
     data: StudyData, analysis: Analysis, selection_input: SelectionInput, request: SelectionRequest, similarity: float
 ) -> tuple[ReducedSet, dict[str, CoverageCurves]]:
-    """Select scenarios, with a reason for each, and evaluate how well they represent all others, by aspect."""
+    """Select scenarios, with a reason for each, and evaluate the set; also return its coverage curves by aspect."""
     selected, shaped = select(selection_input, request)
     ids = analysis.ids.tolist()
     selected_ids = [ids[entry.index] for entry in selected]
@@ -344,7 +354,7 @@ def _make_selected_scenario(
 
 
 def _hull_facets(points: FloatArray, parts: Sequence[IntArray], ids: Sequence[int]) -> tuple[tuple[int, ...], ...]:
-    """Facets of the hulls of a cluster's parts; each facet is given by the ids of the scenarios at its corners."""
+    """Return the facets of the hulls of a cluster's parts; each facet has the ids of the scenarios at its corners."""
     return tuple(
         tuple(ids[part[i]] for i in facet)
         for part in parts
@@ -361,7 +371,10 @@ def _write_files_and_store(
     cluster_names: Mapping[int, str],
     folder: Path,
 ) -> None:
-    """Write the selected scenarios and the manifest, and store the set in the study; on an error nothing is changed."""
+    """Write the selected scenarios and the manifest, and store the reduced set in the study.
+
+    If an error occurs, neither the folder nor the study changes.
+    """
     with replace_set(folder) as set_folder:
         if scenario is not None:
             add_scenario_files(set_folder, study, scenario, reduced_set.scenarios, folder)

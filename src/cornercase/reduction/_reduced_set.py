@@ -1,4 +1,4 @@
-"""Reduced set: the few concrete scenarios that represent all, and how well they do."""
+"""Reduced set: the few selected scenarios that represent all scenarios of a study, and an evaluation of them."""
 
 from __future__ import annotations
 
@@ -26,21 +26,22 @@ class SelectedScenario:
     Attributes
     ----------
     id : int
-        In the study.
+        Id of the scenario in the study.
     file : str
-        OpenSCENARIO file in the folder of the reduced set; for imported recordings the recording.
+        OpenSCENARIO file in the folder of the reduced set; for imported recordings, the file of the recording.
     cluster : int
-        Cluster that it represents; -1 for noise.
+        Cluster that the scenario represents; -1 for noise.
     role : {"archetype", "prototype", "critical prototype", "gap", "exposing", "chosen"}
-        ``"critical prototype"``: the scenario most like the critical ones of a cluster whose prototype is not critical;
-        ``"gap"``: fills a gap, since it was far from all scenarios selected before; ``"exposing"``: kills mutants of
-        the driver; ``"chosen"``: named by a user.
+        ``"archetype"``: an extreme scenario of a cluster. ``"prototype"``: the scenario most like all others of a
+        cluster. ``"critical prototype"``: the scenario most like the critical scenarios of a cluster whose prototype is
+        not critical. ``"gap"``: a scenario far from all scenarios selected before. ``"exposing"``: a scenario that
+        kills mutants of the driver. ``"chosen"``: a scenario named by a user.
     why : str
-        Reason for selecting it, in words.
+        Reason for the selection of the scenario, in words.
     values : mapping of str to float or str
-        Parameters.
+        Values of the parameters, by name.
     scores : mapping of str to float
-        By metric, in the metric's unit.
+        Scores by metric, in the metric's unit.
 
     Examples
     --------
@@ -68,22 +69,22 @@ class ReducedSet:
     Attributes
     ----------
     by : str
-        Aspect whose clusters count.
+        Aspect (what scenarios are compared by) whose clusters are represented.
     n_run : int
         Number of scenarios that had been run.
     scenarios : tuple of SelectedScenario
         Selected scenarios, in the order of selection.
     shapes : tuple of ClusterShape
-        By cluster; empty in a study of an early version.
+        Shapes of the clusters; empty in a study of an early version.
     coverage : mapping of str to Coverage
-        By aspect; without aspects by which no selected scenario was analysed.
+        Coverage of all scenarios, by aspect. An aspect is missing if no selected scenario was analysed by it.
     critical : mapping of str to CriticalCoverage
-        By aspect; empty without a threshold.
+        Coverage of the critical scenarios, by aspect; empty without a threshold.
     hulls : mapping of int to tuple of tuple of int
-        By cluster the facets of its hull in the parameter space, or of the hulls of its near-convex parts; each facet
-        by the ids of the scenarios at its corners.
+        Facets of the hulls in the parameter space, by cluster. A cluster of near-convex parts has a hull for each part.
+        Each facet has the ids of the scenarios at its corners.
     exposing : MutantSelection or None
-        Result of selecting by mutants; None without.
+        Result of the selection by mutants of a driver; None if there was no selection by mutants.
     threshold : float or None
         Score from which a scenario was critical when the set was selected; None without a threshold.
 

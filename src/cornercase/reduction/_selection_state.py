@@ -1,4 +1,4 @@
-"""State of a selection: the scenarios selected so far."""
+"""State of a selection: the scenarios selected so far, and which further scenarios may be added."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.clustering._embedding import Distances
 
-# Scenarios are similar within this share of the largest distance.
+# Share of the largest distance up to which two scenarios are similar.
 SIMILAR_SHARE: Final = 1e-3
 
 Role = Literal["archetype", "prototype", "critical prototype", "gap", "exposing", "chosen"]
@@ -20,11 +20,11 @@ Role = Literal["archetype", "prototype", "critical prototype", "gap", "exposing"
 
 @dataclass(frozen=True)
 class Selected:
-    """A selected scenario: index, the cluster that it represents (-1 for noise), and its role.
+    """A selected scenario: its index, the cluster that it represents (-1 for noise), and its role.
 
     Role ``"critical prototype"``: the medoid of the critical scenarios of a cluster whose prototype is not critical.
-    Role ``"gap"``: it was far from all scenarios selected before. Role ``"exposing"``: it kills mutants of the driver.
-    Role ``"chosen"``: a user named it.
+    Role ``"gap"``: a scenario that was far from all scenarios selected before. Role ``"exposing"``: a scenario that
+    kills mutants of the driver. Role ``"chosen"``: a scenario that a user named.
     """
 
     index: int
@@ -35,7 +35,7 @@ class Selected:
 class Selection:
     """Scenarios selected so far, in order.
 
-    A scenario is not added if it is similar to a selected one, or if `size` scenarios are selected.
+    A scenario is not added if it is similar to a selected scenario, or if `size` scenarios are selected.
     """
 
     def __init__(self, distances: Sequence[Distances], size: int | None) -> None:
@@ -50,10 +50,10 @@ class Selection:
         return [selected.index for selected in self.selected]
 
     def distances_to(self, indices: Sequence[int] | IntArray) -> FloatArray:
-        """Return the distances of some scenarios to all, shape (m, n): the largest distance in any clustering.
+        """Return the distances of m scenarios to all n scenarios, shape (m, n): the largest distance in any clustering.
 
-        Distances in a clustering are divided by the largest one in it. Rows are computed on demand, since a full matrix
-        would be as large as that of a clustering.
+        Distances in a clustering are divided by its largest distance. Rows are computed on demand, since a full matrix
+        would be as large as the matrix of a clustering.
         """
         rows = list(indices)
         scaled = [matrix[rows] / extent for matrix, extent in zip(self._distances, self._extents, strict=True)]
@@ -67,11 +67,14 @@ class Selection:
 
     @property
     def is_complete(self) -> bool:
-        """Whether `size` scenarios are selected."""
+        """True if `size` scenarios are selected."""
         return self._size is not None and len(self.selected) >= self._size
 
     def add(self, scenario: Selected) -> bool:
-        """Add a scenario unless it is similar to a selected one, or all are selected; return whether it was added."""
+        """Add a scenario unless it is similar to a selected one or the selection is complete.
+
+        Returns whether the scenario was added.
+        """
         if self.is_complete or self._is_similar_to_selected(scenario.index):
             return False
         self.selected.append(scenario)
@@ -79,7 +82,7 @@ class Selection:
 
     def _is_similar_to_selected(self, index: int) -> bool:
         candidates = np.array(self.indices, dtype=np.int64)
-        # Few are left after the first clustering.
+        # Few candidates are left after the first clustering.
         for matrix, extent in zip(self._distances, self._extents, strict=True):
             if len(candidates):
                 candidates = candidates[matrix[np.ix_(np.array([index]), candidates)][0] / extent <= SIMILAR_SHARE]

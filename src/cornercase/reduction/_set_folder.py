@@ -1,8 +1,8 @@
-"""Folder of a reduced set, replaced atomically: it holds the earlier set or the new one, never parts of both.
+"""Folder of a reduced set, replaced atomically: it holds the earlier set or the new set, never parts of both.
 
 The new set is first written into a hidden folder within the folder. The set counts as replaced once ``manifest.json``
-is moved into place. The other files are then moved from the hidden folder, whose name depends on the manifest. If that
-is interrupted, the next reader or writer of the set completes it.
+is moved into place. The other files are then moved from the hidden folder, whose name depends on the manifest. If this
+is interrupted, the next reader or writer of the set completes the replacement.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from cornercase._common.platform import fsync_folder, new_file_mode, replace_fil
 MANIFEST: Final = "manifest.json"
 """Name of the file that lists the selected scenarios."""
 
-# Names of hidden folders: their prefix, that of incomplete ones, and the pattern of complete ones.
+# Names of hidden folders: common prefix, prefix of incomplete folders, and pattern of complete folders.
 _HIDDEN_PREFIX: Final = ".cornercase-"
 _INCOMPLETE_PREFIX: Final = f"{_HIDDEN_PREFIX}new-"
 _COMPLETE_PATTERN: Final = re.compile(re.escape(_HIDDEN_PREFIX) + "[0-9a-f]{16}")
@@ -35,7 +35,7 @@ _MALFORMED_ERRORS: Final = (ValueError, LookupError, TypeError, AttributeError, 
 
 
 class SetFolder:
-    """A folder in which a set is about to be replaced by the files in `hidden`, a folder within it."""
+    """Folder whose reduced set is about to be replaced by the files in `hidden`, a folder within it."""
 
     def __init__(self, folder: Path, hidden: Path) -> None:
         self._folder, self._hidden = folder, hidden
@@ -48,11 +48,11 @@ class SetFolder:
 
     @property
     def digests(self) -> Mapping[str, str]:
-        """SHA-256 of each file that was added, by relative path in the folder."""
+        """SHA-256 of each file that was added, by path relative to the folder."""
         return dict(sorted(self._digests.items()))
 
     def add(self, relative_path: str, content: bytes) -> None:
-        """Write a file of the new set; InputError if it would overwrite a file that belongs to no set.
+        """Write a file of the new set; InputError if this would overwrite a file that belongs to no set.
 
         `relative_path` is the path in the folder, with ``/``. If a path is added again, the content must be the same.
         """
@@ -66,7 +66,9 @@ class SetFolder:
         if (target.exists() and not target.is_file()) or any(
             parent.exists() and not parent.is_dir() for parent in parents
         ):
-            raise InputError(f"`folder` {target}: another file or folder is in the way; choose another folder.")
+            raise InputError(
+                f"`folder` {target}: cannot be written, another file or folder is in the way; choose another folder."
+            )
         if relative_path not in _file_digests(self._earlier) and not (
             target.is_file() and read_file(target) == content
         ):
@@ -96,7 +98,7 @@ class SetFolder:
         self._hidden = complete
 
     def replace(self) -> None:
-        """Replace the earlier set by the new one; if an error occurs, the earlier set is still there."""
+        """Replace the earlier set by the new set; if an error occurs, the earlier set is unchanged."""
         try:
             fsync_folder(self._folder)
             replace_file(self._hidden / MANIFEST, self._folder / MANIFEST)
@@ -105,20 +107,21 @@ class SetFolder:
         self._is_replaced = True
 
     def discard(self) -> None:
-        """Remove the new set, unless it has replaced the earlier one."""
+        """Remove the new set, unless it has replaced the earlier set."""
         if not self._is_replaced:
             shutil.rmtree(self._hidden, ignore_errors=True)
 
     def _refuse_to_overwrite(self, target: Path) -> None:
         if target.exists() or target.is_symlink():
             raise InputError(
-                f"`folder` {target}: does not belong to an earlier set; choose another folder, or remove the file."
+                f"`folder` {target}: this file does not belong to an earlier set, so it is not overwritten; choose"
+                " another folder, or remove the file."
             )
 
 
 @contextmanager
 def replace_set(folder: Path) -> Iterator[SetFolder]:
-    """Context manager for writing a new set; the earlier set stays unless the block calls `replace`.
+    """Write a new reduced set into a folder (context manager); the earlier set stays unless the block calls `replace`.
 
     The folder is created if necessary. Files that belong to neither set are left unchanged.
     """
@@ -149,7 +152,7 @@ def replace_set(folder: Path) -> Iterator[SetFolder]:
 
 
 def complete_replacement(folder: Path) -> None:
-    """Complete the replacement of a set if it was interrupted."""
+    """Complete an interrupted replacement of the reduced set in a folder."""
     manifest = folder / MANIFEST
     if not manifest.is_file() or not _is_replacement_interrupted(folder):
         return
@@ -161,11 +164,11 @@ def complete_replacement(folder: Path) -> None:
     if not new_files:
         return
     try:
-        # The files below would belong to no set if the manifest were lost.
+        # If the manifest were lost, the files that are moved below would belong to no set.
         fsync_folder(folder)
         for path in new_files:
             source, target = _safe_path(hidden, path), _safe_path(folder, path)
-            # Another process may be completing it, too.
+            # Another process may be completing the replacement, too.
             if source.is_file():
                 target.parent.mkdir(parents=True, exist_ok=True)
                 with suppress(FileNotFoundError):
@@ -176,13 +179,13 @@ def complete_replacement(folder: Path) -> None:
         shutil.rmtree(hidden, ignore_errors=True)
     except OSError as error:
         raise InputError(
-            f"{folder}: the set in it is incomplete, and cannot be completed ({error.strerror or error}); make the"
-            " folder writable, and run the command again."
+            f"{folder}: an interrupted write of the reduced set in this folder cannot be completed"
+            f" ({error.strerror or error}); make the folder writable, and run the command again."
         ) from error
 
 
 def _remove_earlier_files(folder: Path, earlier_manifest: Mapping[str, Any], current_files: Mapping[str, str]) -> None:
-    """Remove scenario files of the earlier set, except those that were changed since."""
+    """Remove scenario files of the earlier set, except files that were changed since."""
     digests, new_files = _file_digests(earlier_manifest), {path.casefold() for path in current_files}
     for path in [str(scenario["file"]) for scenario in earlier_manifest["scenarios"]] if digests else ():
         if path not in digests or path.casefold() in new_files:
@@ -224,7 +227,7 @@ def _write(path: Path, content: bytes, target: Path) -> None:
 
 
 def _read_manifest(manifest: Path) -> dict[str, Any]:
-    """Content of a manifest; empty if the file is not a manifest."""
+    """Read a manifest; the result is empty if the file is not a manifest."""
     # An unreadable manifest is an error: if it counted as empty, the files that it lists would be forgotten.
     content = read_file(manifest)
     try:
@@ -235,7 +238,7 @@ def _read_manifest(manifest: Path) -> dict[str, Any]:
 
 
 def _file_digests(manifest_values: Mapping[str, Any]) -> dict[str, str]:
-    """SHA-256 of each file of a set, by path; empty for a set of an early version."""
+    """Return the SHA-256 of each file of a set, by path; empty for a set of an early version."""
     try:
         files = {str(scenario["file"]): "" for scenario in manifest_values["scenarios"]}
         return files | {str(path): str(digest) for path, digest in manifest_values.get("files", {}).items()}
@@ -244,7 +247,10 @@ def _file_digests(manifest_values: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _safe_path(folder: Path, relative_path: str) -> Path:
-    """Path of a file of a set. Paths outside the folder are refused, since the manifest may come from anywhere."""
+    """Return the path of a file of a set; InputError if the path is outside the folder.
+
+    The manifest that lists the file may come from anywhere.
+    """
     file = folder / relative_path
     parts = re.split(r"[\\/]", relative_path)
     if any(

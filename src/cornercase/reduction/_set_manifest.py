@@ -1,4 +1,4 @@
-"""The reduced set as plain values, for ``manifest.json`` and for the study."""
+"""Conversion of a reduced set to plain values, for ``manifest.json`` and for the study, and back."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _EVALUATION_NOTE: Final = (
 def make_manifest(
     study: StudyFile, reduced_set: ReducedSet, cluster_names: Mapping[int, str], files: Mapping[str, str]
 ) -> dict[str, Any]:
-    """Return the content of ``manifest.json``: the reduced set, its origin, and how to run it again.
+    """Return the content of ``manifest.json``: the reduced set, its origin, and all that is needed to run it again.
 
     `cluster_names` maps clusters to names. `files` has the SHA-256 of each file that was written, by path in the
     folder.
@@ -79,7 +79,7 @@ def make_manifest(
 
 
 def _other_threshold(study: StudyFile) -> dict[str, float | None]:
-    """Entry with the threshold stored in the study, if the set was selected with another one; else empty."""
+    """Return an entry with the study's stored threshold if the set was selected with another threshold; else empty."""
     return {} if study.critical == study.meta.critical else {"critical_threshold_of_the_study": study.meta.critical}
 
 
@@ -89,7 +89,7 @@ def save_reduction(
     curves: Mapping[str, CoverageCurves],
     analyses: Mapping[str, Analysis],
 ) -> None:
-    """Store a reduced set in a study, with its coverage curves by aspect; it replaces an earlier one."""
+    """Store a reduced set in a study, with its coverage curves by aspect; an earlier reduced set is replaced."""
     info = {
         "by": reduced_set.by,
         "run": reduced_set.n_run,
@@ -111,9 +111,10 @@ def save_reduction(
 def read_coverage_curves(
     study: StudyFile, analyses: Mapping[str, Analysis], selected_ids: list[int]
 ) -> dict[str, CoverageCurves]:
-    """Return the coverage curves of the reduced set by aspect, for the analyses that the study has now.
+    """Read the coverage curves of the stored reduced set, by aspect (what scenarios are compared by).
 
-    They are computed again for an aspect that was analyzed again since `reduce` stored them.
+    The curves of an aspect are computed again if the scenarios were analysed again by this aspect since `reduce` stored
+    them.
     """
     arrays, info = study.read_analysis("reduction")
     curves = {}
@@ -140,7 +141,7 @@ def read_coverage_curves(
 
 
 def _fingerprint(analysis: Analysis) -> str:
-    """Return a hash of the scenarios that were analyzed and of where they are in kernel space."""
+    """Return a hash of an analysis: of its scenarios and of their positions in kernel space."""
     return hashlib.sha256(analysis.ids.tobytes() + analysis.clustering.embedding.tobytes()).hexdigest()
 
 
@@ -150,12 +151,12 @@ def read_reduction(study: StudyFile | Path | str) -> ReducedSet | None:
     Parameters
     ----------
     study : Study, StudyFile or path
-        Holds the scenarios.
+        Study whose reduced set is read.
 
     Returns
     -------
     ReducedSet or None
-        None before the study was reduced.
+        None if the study was not reduced yet.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Write scenarios of a study as concrete files, and those that a user chose as a suite."""
+"""Files of single scenarios of a study: the selected scenarios of a set, or a suite that a user chose by ids."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def write_chosen_scenarios(
     scenario: Path | str | ScenarioFile | None = None,
     critical: float | None = None,
 ) -> tuple[SelectedScenario, ...]:
-    """Write scenarios with these ids as files that run on their own, with a manifest; the study is only read.
+    """Write the scenarios with these ids as files that run on their own, with a manifest; the study is only read.
 
     The folder is a suite, as `reduce` writes one. `InputError` if an id is unknown or was not run yet, if there is no
     scenario file, or if the folder cannot be written.
@@ -39,11 +39,15 @@ def write_chosen_scenarios(
     folder = check_folder("folder", folder)
     with open_study(study, readonly=True, critical=critical) as opened:
         if opened.meta.suite:
-            raise InputError(f"{opened.path}: is the run of a suite, whose scenarios are files already; copy those.")
+            raise InputError(
+                f"{opened.path}: is the run of a suite, whose scenarios are files already; copy these files instead."
+            )
         rows = _rows_of(opened, ids)
         explored = find_explored_scenario(opened, scenario, search_stored_path=True)
         if explored is None:
-            raise InputError(f"{opened.path}: its recordings were imported, so there is no scenario file to write.")
+            raise InputError(
+                f"{opened.path}: the recordings of this study were imported, so there is no scenario file to write."
+            )
         analyses = read_analyses(opened)
         headline = find_headline_aspect(analyses)
         analysis = None if headline is None else analyses[headline]
@@ -67,14 +71,14 @@ def write_chosen_scenarios(
 
 
 def name_concrete_file(meta: StudyMeta, scenario_id: int) -> str:
-    """Return the name of the concrete file of a scenario."""
+    """Return the file name of a concrete scenario of a study."""
     return f"{portable_name(meta.title)}-{scenario_id:05}.xosc"
 
 
 def add_scenario_files(
     set_folder: SetFolder, study: StudyFile, scenario: ScenarioFile, selected: Sequence[SelectedScenario], folder: Path
 ) -> None:
-    """Add the concrete files of scenarios to a set in `folder`, with the roads and catalogs that they need."""
+    """Add the files of selected scenarios to a new set in `folder`, with the roads and catalogs that they need."""
     chosen_drivers = study.meta.settings.get("drivers", {})
     drivers = {entity: driver for entity, driver in chosen_drivers.items() if isinstance(driver, str)}
     dependencies: dict[Path, bytes] = {}
@@ -96,7 +100,7 @@ def _rows_of(study: StudyFile, ids: Iterable[int]) -> list[ScenarioRecord]:
     rows = {row.id: row for row in study.rows()}
     wanted = sorted(set(ids))
     if not wanted:
-        raise InputError("`ids`: names no scenario; give at least one id.")
+        raise InputError("`ids`: no id is given; give at least one.")
     unknown = [number for number in wanted if number not in rows]
     if unknown:
         which = f"the ids {min(rows)} to {max(rows)}" if rows else "no scenarios"
@@ -142,9 +146,9 @@ def _chosen_scenarios(
 def _drivers_with_values(
     scenario: ScenarioFile, drivers: Mapping[str, object], values: Mapping[str, Value]
 ) -> dict[str, str]:
-    """Return the drivers whose parameters are varied, with these values as options, by entity.
+    """Return drivers with the varied values of their parameters as options, by entity.
 
-    A file can only name drivers of cornercase; the values of others are in the manifest.
+    A file can only name drivers of cornercase; the values of other drivers are in the manifest.
     """
     by_entity: dict[str, dict[str, Value]] = {}
     for full_name, (entity, name) in scenario.driver_parameters(values).items():

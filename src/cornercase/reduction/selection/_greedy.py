@@ -1,4 +1,4 @@
-"""Greedy selection: scenarios that represent the clusters, then scenarios that these leave uncovered."""
+"""Greedy selection: scenarios that represent the clusters, then scenarios far from all scenarios selected before."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from cornercase.reduction._random_selections import submatrix
 from cornercase.reduction._selection_state import SIMILAR_SHARE, Selected, Selection
 
 _MAX_EXCHANGED: Final = 2000
-# While few scenarios are selected, each candidate is the nearest one for very many others, and most time is spent. So
-# of more scenarios than this, every fourth may be selected first, up to this share of all.
+# While few scenarios are selected, each candidate is the nearest one for very many others, which takes most of the
+# time. So with more scenarios than this, only every fourth is a candidate until this share of all is selected.
 _SAMPLED_FROM: Final = 16_000
 _SAMPLED_PART: Final = 4
 _FIRST_SHARE: Final = 1.0 / 32.0
 
-# Each is best for some studies; the first one that beats the baselines is taken.
+# Each composition is best for some studies; the first composition that beats the baselines is taken.
 _COMPOSITIONS: Final = (
     SetComposition(0.2, 4.0, 2.0, 3),
     SetComposition(0.1, 6.0, 1.0, 3),
@@ -46,28 +46,30 @@ def select_scenarios(
     shaped_clusters: Sequence[ShapedCluster] | None = None,
     sampled_from: int = _SAMPLED_FROM,
 ) -> tuple[Selected, ...]:
-    """Select scenarios that represent the clusters, then scenarios that these leave uncovered.
+    """Select scenarios that represent the clusters, then scenarios that are far from these.
 
     The set begins with a critical scenario from each cluster that has any: its prototype, or the medoid of its critical
-    scenarios if the prototype is not critical; critical clusters first, then those with the most critical scenarios.
-    All other prototypes follow, those of clusters without a critical scenario first. Archetypes are next, up to a
-    fifth of the set. They are divided among clusters in proportion to the root of their size, four times as many if
-    critical. All other scenarios are selected to minimise a sum over all scenarios and all clusterings. Its terms are
-    cubed distances to the nearest selected scenario, in units of the usual distance between neighbours in a set of this
-    size. The cube gives large gaps more weight than many small ones. Scenarios of critical clusters count four times,
-    the first clustering twice. Scenarios are added greedily (G. L. Nemhauser, L. A. Wolsey, M. L. Fisher, "An analysis
-    of approximations for maximizing submodular set functions", 1978). Of more than `sampled_from` scenarios, the first
-    ones, up to a 32nd of all, are selected from every fourth scenario. Then, with up to 2,000 scenarios, each is
-    exchanged for another one if that lowers the sum.
+    scenarios if the prototype is not critical. Critical clusters come first, then clusters with the most critical
+    scenarios. All other prototypes follow, first those of clusters without a critical scenario. Archetypes (extreme
+    scenarios) are next, up to a fifth of the set. They are divided among clusters in proportion to the root of the
+    cluster's size, with four times the weight for critical clusters.
+
+    All other scenarios are selected to minimise a sum over all scenarios and all clusterings. Its terms are cubed
+    distances to the nearest selected scenario, in units of the usual distance between neighbours in a set of this size.
+    The cube gives large gaps more weight than many small ones. Scenarios of critical clusters count four times, the
+    first clustering twice. Scenarios are added greedily (G. L. Nemhauser, L. A. Wolsey, M. L. Fisher, "An analysis of
+    approximations for maximizing submodular set functions", 1978). With more than `sampled_from` scenarios, only every
+    fourth is a candidate until a 32nd of all scenarios is selected. With up to 2,000 scenarios, each of these scenarios
+    is then exchanged for another one if that lowers the sum.
 
     The set is compared with 100 random selections in each clustering, by the largest and the mean distance to the
     nearest selected scenario. In the critical clusters it is compared with k-medoids of the first clustering. With up
-    to 2,000 scenarios, other shares and weights are tried, four in all, if the set is not better than 95 of the random
+    to 2,000 scenarios, up to four sets of shares and weights are tried, if the set is not better than 95 of the random
     selections, or is worse than k-medoids. The set with the smallest shortfall is returned.
 
-    With `cover` instead of `size`, the scenario least similar to all selected ones is added to the prototypes until all
-    are within this share of the largest distance, in each clustering (farthest-first traversal: T. F. Gonzalez,
-    "Clustering to minimize the maximum intercluster distance", 1985).
+    With `cover` instead of `size`, scenarios are added to the prototypes until all scenarios are within this share of
+    the largest distance, in each clustering. The scenario least similar to all selected ones is added each time
+    (farthest-first traversal: T. F. Gonzalez, "Clustering to minimize the maximum intercluster distance", 1985).
 
     No scenario is selected that is similar to a selected one: at most 0.001 of the largest distance away in each
     clustering. `points`, shape (n, d), are in the unit cube. `distances` are those of all clusterings, `labels` those
@@ -123,8 +125,8 @@ def _find_prototypes(
 ) -> list[Selected]:
     """Return the prototypes of clusters, those that represent critical scenarios first.
 
-    Critical scenarios have a prototype of their own where that of their cluster is not critical. Those that are noise
-    have one only if no cluster has a critical scenario.
+    If the prototype of a cluster is not critical, its critical scenarios have a prototype of their own. Critical
+    scenarios that are noise have a prototype only if no cluster has a critical scenario.
     """
     prototypes = [Selected(find_prototype(distances, np.flatnonzero(labels == k)), k, "prototype") for k in clusters]
     if is_critical is None or not is_critical.any():
@@ -142,7 +144,7 @@ def _find_prototypes(
 
 @dataclass(frozen=True, eq=False)
 class _SelectionTask:
-    """The scenarios to select from, and the number to select."""
+    """Input of a selection: the scenarios to select from, their clusters, and the number to select."""
 
     points: FloatArray
     distances: Sequence[Distances]
@@ -154,7 +156,7 @@ class _SelectionTask:
     sampled_from: int
 
     def complete(self, base: Selection, composition: SetComposition) -> Selection:
-        """Return a copy of the selection `base`, completed by archetypes and by scenarios that are still uncovered."""
+        """Return a copy of the selection `base`, with archetypes and scenarios far from all selected ones added."""
         selection = base.copy()
         labels = self.labels
         factors = [composition.critical_weight if label in self.critical_clusters else 1.0 for label in self.clusters]
@@ -174,7 +176,7 @@ class _SelectionTask:
         return selection
 
     def _add_uncovered(self, selection: Selection, composition: SetComposition) -> None:
-        """Add scenarios that minimise the coverage sum until enough are selected."""
+        """Add scenarios that minimise the coverage sum until the selection is complete."""
         n_fixed = len(selection.selected)
         n_first = min(self.size, int(_FIRST_SHARE * len(self.labels)))
         if len(self.labels) > self.sampled_from and n_fixed < n_first:
@@ -191,7 +193,10 @@ class _SelectionTask:
             ]
 
     def _add_from_sample(self, selection: Selection, composition: SetComposition, size: int) -> None:
-        """Add scenarios of an even sample that minimise its coverage sum, until `size` are selected."""
+        """Add scenarios from an evenly spaced sample until `size` scenarios are selected.
+
+        The added scenarios minimise the coverage sum of the sample.
+        """
         rows = np.union1d(np.arange(0, len(self.labels), _SAMPLED_PART), selection.indices)
         sums = CoverageSums(
             [submatrix(matrix, rows, rows) for matrix in self.distances],

@@ -1,4 +1,4 @@
-"""Selection of the prototype and the archetypes of each cluster, as in the paper."""
+"""Selection of the prototype and the archetypes (extreme scenarios) of each cluster, as in the paper."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from cornercase.reduction._medoids import find_prototype
 from cornercase.reduction._selection_state import Selected
 
 SCENARIOS_PER_SELECTED: Final = 10
-"""One of this many scenarios is selected, in the paper and by default."""
+"""Number of scenarios for each selected scenario, in the paper that cornercase follows and by default."""
 
 
 def select_per_cluster(
@@ -28,13 +28,14 @@ def select_per_cluster(
     archetypes: int | Literal["auto"] = "auto",
     shaped_clusters: Sequence[ShapedCluster] | None = None,
 ) -> tuple[Selected, ...]:
-    """Select the prototype and at most `archetypes` archetypes of each cluster, as in the paper; noise is left out.
+    """Select the prototype and at most `archetypes` archetypes of each cluster; noise is left out.
 
-    ``"auto"`` selects about a tenth of all scenarios, including prototypes: ``n // (10 * clusters) - 1`` archetypes per
-    cluster. There are at least d + 1, since a hull of fewer is flat, and at most 15, as in the paper. For each cluster,
-    the prototype comes first, then the archetypes by index. No scenario comes twice, since the hull is that of the
-    scenarios without the prototype. `points`, shape (n, d), are in the unit cube. `shaped_clusters` defaults to the
-    paper's hulls.
+    This is the selection of the paper that cornercase follows. Archetypes are extreme scenarios. ``"auto"`` selects
+    about a tenth of all scenarios, including prototypes: ``n // (10 * clusters) - 1`` archetypes per cluster. There are
+    at least d + 1 archetypes, since a hull of fewer is flat, and at most 15, as in the paper. For each cluster, the
+    prototype comes first, then the archetypes by index. No scenario is selected twice, since the hull excludes the
+    prototype. `points`, shape (n, d), are in the unit cube. `shaped_clusters` defaults to clusters whose archetypes are
+    corners of hulls.
     """
     points = np.asarray(points, dtype=np.float64)
     distances = distances if isinstance(distances, EmbeddedDistances) else np.asarray(distances, dtype=np.float64)

@@ -1,4 +1,4 @@
-"""Selection of a reduced set, from all scenarios or from the training part of a fold."""
+"""Selection of a reduced set, from all scenarios or from the training part of a cross-validation fold."""
 
 from __future__ import annotations
 
@@ -22,10 +22,11 @@ from cornercase.reduction.selection._per_cluster import select_per_cluster
 
 @dataclass(frozen=True)
 class SelectionRequest:
-    """How many scenarios to select, and in which role; exactly one of `size`, `cover` and `archetypes` is given.
+    """Requested size of a reduced set: exactly one of `size`, `cover` and `archetypes` is given.
 
-    `cover` is the largest distance to a selected scenario that may remain, as a share of the largest distance.
-    `archetypes` is the number per cluster, besides the prototype. `archetypes_by` is the method that finds them.
+    `size` is the number of scenarios. `cover` is the largest distance to a selected scenario that may remain, as a
+    share of the largest distance. `archetypes` is the number per cluster, besides the prototype. `archetypes_by` is the
+    method that finds archetypes.
     """
 
     size: int | None
@@ -52,7 +53,7 @@ class SelectionInput:
     kills: BoolArray | None = None
 
     def subset(self, rows: IntArray) -> SelectionInput:
-        """Return some of the scenarios; the clusters are still those of all scenarios."""
+        """Return some of the scenarios; the clusters are still clusters of all scenarios."""
         return SelectionInput(
             self.points[rows],
             [submatrix(matrix, rows, rows) for matrix in self.distances],
@@ -67,7 +68,10 @@ class SelectionInput:
 def select(
     selection_input: SelectionInput, request: SelectionRequest
 ) -> tuple[tuple[Selected, ...], tuple[ShapedCluster, ...]]:
-    """Select scenarios; return them in order, and the shape of each cluster with the method for its archetypes."""
+    """Select scenarios for a reduced set, in order.
+
+    Also returns the shape of each cluster, with the method that found its archetypes.
+    """
     points, labels = selection_input.points, selection_input.labels
     shaped = classify_cluster_shapes(points, labels, selection_input.embedding, request.archetypes_by)
     if request.archetypes is not None:
@@ -92,7 +96,7 @@ def select(
 
 
 def _put_critical_first(selection_input: SelectionInput, selected: Sequence[Selected]) -> tuple[Selected, ...]:
-    """Put critical prototypes and archetypes first, then the others; those that fill gaps stay last, as selected."""
+    """Put critical prototypes and archetypes first, then the others; scenarios that fill gaps stay last, in order."""
     is_critical = selection_input.is_critical
     if not is_critical.any():
         return tuple(selected)
@@ -100,7 +104,7 @@ def _put_critical_first(selection_input: SelectionInput, selected: Sequence[Sele
 
 
 def _put_killing_first(selection_input: SelectionInput, selected: Sequence[Selected]) -> tuple[Selected, ...]:
-    """Put scenarios that kill mutants first, in place of the last scenarios."""
+    """Put scenarios that kill mutants of the driver first, in place of the last scenarios."""
     assert selection_input.kills is not None
     distances, labels = selection_input.distances, selection_input.labels
     selection = Selection(distances, len(selected))
@@ -112,7 +116,7 @@ def _put_killing_first(selection_input: SelectionInput, selected: Sequence[Selec
 
 
 def cross_validate(selection_input: SelectionInput, request: SelectionRequest) -> list[Fold]:
-    """Cross-validate the selection: select a set for each fold.
+    """Cross-validate the selection: for each fold, select a set from the scenarios outside of the fold.
 
     Clusters are not computed again for each fold, so held-out scenarios have influenced them.
     """
@@ -120,9 +124,9 @@ def cross_validate(selection_input: SelectionInput, request: SelectionRequest) -
     folds = []
     parts = list(draw_folds(len(indices)))
     with progress_step(len(parts), "choosing", "sets, to judge the choice") as update_progress:
-        for judging in parts:
-            rows = np.setdiff1d(indices, judging)
+        for held_out in parts:
+            rows = np.setdiff1d(indices, held_out)
             selected, _ = select(selection_input.subset(rows), request)
-            folds.append(Fold(rows, rows[[scenario.index for scenario in selected]], judging))
+            folds.append(Fold(rows, rows[[scenario.index for scenario in selected]], held_out))
             update_progress(len(folds))
     return folds
