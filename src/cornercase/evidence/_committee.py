@@ -272,7 +272,7 @@ class CommitteeModel:
         return np.asarray(np.minimum(class_probabilities[:, self._labels % 2 == 1].sum(axis=1), 1.0))
 
     def _select_tree_scenarios(self, scores: FloatArray) -> IntArray:
-        """Select the scenarios that trees use; return their indices. A part of very many scenarios is used.
+        """Return the indices of the scenarios that trees use: all scenarios, or a part if there are very many.
 
         Half of this part is nearest to the threshold, and the other half is preferably of the rarer class.
         """
@@ -286,9 +286,10 @@ class CommitteeModel:
         )
 
     def _select_process_scenarios(self, scores: FloatArray) -> IntArray | None:
-        """Select the scenarios that the feature processes use; return their indices, or None for all.
+        """Return the indices of the scenarios that the feature processes use; None stands for all scenarios.
 
-        A part of many scenarios is used: half nearest to the threshold, the others evenly spaced among the rest.
+        If there are many scenarios, half of the used ones are nearest to the threshold. The other half is evenly spaced
+        among the rest.
         """
         if len(scores) <= self.max_process_scenarios:
             return None

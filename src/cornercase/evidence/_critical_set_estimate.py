@@ -156,7 +156,7 @@ class CriticalSet:
     def uses_committee(self) -> bool:
         """True if a `CommitteeModel` of three classifiers predicts instead of the Gaussian process alone.
 
-        This requires features, and both critical and other scenarios among those that were run.
+        This requires features, and both critical and other scenarios among the scenarios that were run.
         """
         return self._committee is not None
 

@@ -37,7 +37,7 @@ def anytime_upper_bound(hits: int, draws: int, error_probability: float = 0.05) 
     mixture = float(betaln(hits + 0.5, draws - hits + 0.5) - betaln(0.5, 0.5))
 
     def log_evidence_against(proportion: float) -> float:
-        """Logarithm of the evidence against a proportion, less the evidence needed to reject it."""
+        """Logarithm of the evidence against a proportion, minus the evidence needed to reject it."""
         return (
             mixture - float(xlogy(hits, proportion) + xlog1py(draws - hits, -proportion)) + math.log(error_probability)
         )

@@ -120,7 +120,7 @@ class Sensitivity:
 def estimate_sensitivity(space: ParameterSpace, points: FloatArray, scores: FloatArray, seed: int = 0) -> Sensitivity:
     """Estimate Sobol' indices of a score from a Gaussian process, with intervals from draws of the process.
 
-    The indices are those of the mean of the process. Parameters vary independently over their ranges, regardless of
+    The indices belong to the mean of the process. Parameters vary independently over their ranges, regardless of
     constraints. `points` (n, d) are in the unit cube. `scores` (n,) may be lower or higher if more critical, and are
     NaN for a failed scenario. ValueError if there are fewer than 10 scores, or all are equal.
 

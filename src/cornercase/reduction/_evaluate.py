@@ -167,7 +167,7 @@ def evaluate_critical_coverage(
 
 
 def reevaluate(study: StudyFile, reduced: ReducedSet) -> ReducedSet:
-    """Evaluate a reduced set again with the threshold of the opened study, if it was selected with another one.
+    """Evaluate a reduced set again if its threshold differs from the threshold of the opened study.
 
     Values for held-out scenarios are dropped, since they belong to selections with the other threshold.
     """

@@ -137,7 +137,7 @@ def draw_folds(n_scenarios: int) -> list[IntArray]:
 
 
 def measure_held_out_distances(all_distances: Distances, all_folds: Sequence[Fold]) -> HeldOutDistances | None:
-    """Measure the distances of held-out scenarios to the set of their fold, and to baselines; None without folds."""
+    """Measure distances of held-out scenarios to sets selected without them, and to baselines; None without folds."""
     to_selected, medoids, random = [], [], []
     folds = [fold for fold in all_folds if len(fold.selected) and len(fold.held_out)]
     if not folds:

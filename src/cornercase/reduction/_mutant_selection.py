@@ -52,7 +52,7 @@ def select_killing(kills: BoolArray, distances_to: Callable[[Sequence[int]], Flo
 def add_mutant_selection(
     reduced: ReducedSet, kill_matrix: KillMatrix, ids_without_mutants: Sequence[int]
 ) -> ReducedSet:
-    """Add to a reduced set its mutation scores, and those of the set that was selected without mutants."""
+    """Add to a reduced set its mutation scores, and the scores of the set that was selected without mutants."""
     scenarios, already_killed = [], np.zeros(len(kill_matrix.mutants), dtype=np.bool_)
     for scenario, exposed in zip(reduced.scenarios, kill_matrix.kills_of(reduced.ids), strict=True):
         scenarios.append(

@@ -225,7 +225,7 @@ def default_aspect(study: StudyFile) -> str:
     """Return the aspect by which scenarios are selected by default.
 
     An aspect is what scenarios are compared by. The default aspect has the clusters that say most about how scenarios
-    end. If no aspect has several clusters, it is the metric that was searched.
+    end. If no aspect has several clusters, the default is the metric that was searched.
     """
     analyses = read_analyses(study)
     searched, headline = study.meta.metrics[0], find_headline_aspect(analyses)

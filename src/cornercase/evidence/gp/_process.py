@@ -342,7 +342,7 @@ class GaussianProcess:
         return mean, np.asarray(self.kernel.signal**2 - np.einsum("ij,ij->i", rows, rows)), rows
 
     def leave_one_out(self, indices: IntArray | None = None) -> tuple[FloatArray, FloatArray]:
-        """Predict each value (or those at `indices`) from all others: mean and standard deviation, shape (k,) each.
+        """Predict each value, or the values at `indices`, from all others: mean and standard deviation, (k,) each.
 
         The standard deviation includes the noise of the single value. Source: Rasmussen and Williams 2006, equation
         5.12.

@@ -72,8 +72,8 @@ def select_scenarios(
     (farthest-first traversal: T. F. Gonzalez, "Clustering to minimize the maximum intercluster distance", 1985).
 
     No scenario is selected that is similar to a selected one: at most 0.001 of the largest distance away in each
-    clustering. `points`, shape (n, d), are in the unit cube. `distances` are those of all clusterings, `labels` those
-    of the first. `shaped_clusters` defaults to `classify_cluster_shapes`.
+    clustering. `points`, shape (n, d), are in the unit cube. `distances` belong to all clusterings,
+    `labels` to the first clustering. `shaped_clusters` defaults to `classify_cluster_shapes`.
     """
     if (size is None) == (cover is None):
         raise InputError("`size`, `cover`: give exactly one of them.")

@@ -39,7 +39,7 @@ class SelectionRequest:
 class SelectionInput:
     """Scenarios to select from.
 
-    `points`, shape (n, d), are in the unit cube. `distances` are those of all clusterings. `labels`, `embedding` and
+    `points`, shape (n, d), are in the unit cube. `distances` belong to all clusterings. `labels`, `embedding` and
     `critical_clusters` belong to the first clustering. `is_critical`, shape (n,), marks critical scenarios. `kills`,
     shape (n, m), says which scenario kills which mutant; None if mutants do not take part in the selection.
     """
