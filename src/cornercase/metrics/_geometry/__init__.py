@@ -1,1 +1,1 @@
-"""Building blocks of several metrics: boxes, tracks, gaps along the ego's path, compiled kernels."""
+"""Geometry that several metrics share: boxes, tracks, gaps along the path of the ego, compiled kernels."""

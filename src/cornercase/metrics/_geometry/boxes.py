@@ -1,4 +1,4 @@
-"""Bounding boxes of a recording, and how they move."""
+"""Bounding boxes of the entities in a recording, and the velocities of the entities."""
 
 from __future__ import annotations
 
@@ -15,12 +15,18 @@ _MIN_SPEED: Final = 1e-9  # m/s; a slower relative motion is a rounding error (3
 
 
 def box_corners_over_time(recording: Recording, name: str) -> FloatArray:
-    """Corners of an entity's bounding box in m, shape (T, 4, 2), NaN where it does not exist."""
+    """Return the corners of an entity's bounding box at each of T instants in m, shape (T, 4, 2).
+
+    NaN at instants at which the entity does not exist.
+    """
     return _box_corners_at(recording, recording.entity_index(name), recording.box_center(name), slice(None))
 
 
 def boxes_touch_over_time(recording: Recording, ego: str, other: str) -> BoolArray:
-    """Whether two entities' bounding boxes touch, shape (T,); False if one of them does not exist."""
+    """Return whether the bounding boxes of two entities touch at each instant, shape (T,).
+
+    False if one of the entities does not exist.
+    """
     rows = [recording.entity_index(ego), recording.entity_index(other)]
     centers = recording.box_center(ego), recording.box_center(other)
     distance = np.hypot(*(centers[1] - centers[0]).T)
@@ -42,7 +48,10 @@ def _box_corners_at(recording: Recording, row: int, center: FloatArray, instants
 
 
 def velocity_vectors(recording: Recording, name: str) -> FloatArray:
-    """Velocity vectors in m/s, shape (T, 2), from the speed along the heading; NaN where the entity does not exist."""
+    """Return the velocity of an entity along its heading at each instant in m/s, shape (T, 2).
+
+    NaN if the entity does not exist.
+    """
     i = recording.entity_index(name)
     heading = recording.heading[i]
     forward: FloatArray = recording.speed[i][:, None] * np.stack([np.cos(heading), np.sin(heading)], -1)
@@ -50,11 +59,11 @@ def velocity_vectors(recording: Recording, name: str) -> FloatArray:
 
 
 def relative_velocity(recording: Recording, ego: str, other: str) -> FloatArray:
-    """Velocity of the other relative to the ego in m/s, shape (T, 2), with rounding errors set to exactly 0."""
+    """Return the velocity of the other relative to the ego in m/s, shape (T, 2), with rounding errors set to 0."""
     return zero_rounding_errors(velocity_vectors(recording, other) - velocity_vectors(recording, ego))
 
 
 def zero_rounding_errors(relative_velocities: FloatArray) -> FloatArray:
-    """Set relative velocities that are only rounding errors to 0; shape (T, 2)."""
+    """Return relative velocities, shape (T, 2), with values that are only rounding errors set to exactly 0."""
     speed = np.hypot(relative_velocities[:, 0], relative_velocities[:, 1])
     return np.where((speed <= _MIN_SPEED)[:, None], 0.0, relative_velocities)

@@ -29,10 +29,13 @@ from cornercase.recordings import Recording
 Area = tuple[float, float, float, float, float]
 
 _STILL = 1e-9
-"""Largest move of a corner in m between two instants of an entity that stands."""
+"""Largest distance in m by which a corner moves between two instants if the entity stands."""
 
 _ARC = 0.005
-"""Largest move of a corner in m by turning in one step; bounds how far a hull exceeds the curved edge."""
+"""Largest distance in m by which turning moves a corner in one step.
+
+It limits how far a convex hull exceeds the curved edge of the swept area.
+"""
 
 TIME_TOLERANCE = 1e-9
 """Tolerance of times in s."""
@@ -42,8 +45,8 @@ TIME_TOLERANCE = 1e-9
 class AreaVisit:
     """One visit to a conflict area, with entry and exit time in s.
 
-    If the entity is still inside at the end of the recording, `exit_time` is the end and `has_left` is False.
-    `is_standing` then says whether the entity stands.
+    If the entity is still inside at the end of the recording, `exit_time` is the end, `has_left` is False, and
+    `is_standing` says whether the entity stands at the end.
     """
 
     entry_time: float
@@ -53,9 +56,10 @@ class AreaVisit:
 
 
 def area_visits(recording: Recording, ego: str, other: str, area: Area | None) -> list[tuple[AreaVisit, AreaVisit]]:
-    """Visits of the ego and of the other entity to each conflict area that they share, in pairs.
+    """Return the visits of the ego and of the other entity to each conflict area that they share, in pairs.
 
-    `area` is a rectangle to use as conflict area. By default it is the overlap of the areas that both boxes sweep.
+    `area` is a rectangle to use as conflict area: x, y, heading, length and width. By default, a conflict area is an
+    overlap of the areas that both boxes sweep.
     """
     a, b = _SweptArea.from_recording(recording, ego), _SweptArea.from_recording(recording, other)
     if area is None:
@@ -69,17 +73,17 @@ def area_visits(recording: Recording, ego: str, other: str, area: Area | None) -
 
 
 def validate_area(metric: str, area: Area | None) -> Area | None:
-    """Return the rectangle `area` unchanged; InputError if it is invalid."""
+    """Return the rectangle `area` unchanged; InputError if it is invalid. `metric` is named in the error."""
     if area is not None and (len(area) != 5 or not np.isfinite(area).all() or min(area[3:]) <= 0.0):
         raise InputError(f"{metric} cannot take the area {area}; give x, y, heading, and a length and width above 0.")
     return area
 
 
 class _SweptArea:
-    """Area that a moving box sweeps, as the convex hulls of the box before and after each of n steps.
+    """Area that a moving box sweeps in n steps, as the convex hulls of the box before and after each step.
 
     A period of standing is one step. `center` (n, 2, 2), `heading`, `time` and `speed` (n, 2) hold the values before
-    and after each step. `corners` (n, 8, 2) are the corners of both boxes of a step, and `axes` (n, 8, 2) the
+    and after each step. `corners` (n, 8, 2) are the corners of both boxes of a step, and `axes` (n, 8, 2) are the
     separating axes of the hull.
     """
 
@@ -110,7 +114,10 @@ class _SweptArea:
         return cls(center, zeros + heading, zeros, zeros, (length, width))
 
     def subdivide_turning_steps(self, steps: IntArray) -> _SweptArea:
-        """Return some of the steps; those in which the box turns are split, so that the hulls follow the curve."""
+        """Return the swept area of some steps; steps in which the box turns are split into parts.
+
+        So the hulls follow the curve.
+        """
         turn = self.heading[steps, 1] - self.heading[steps, 0]
         parts = np.maximum(np.ceil(0.5 * np.hypot(*self.size) * np.abs(turn) / _ARC), 1.0).astype(np.int64)
         which = np.repeat(np.arange(len(steps)), parts)
@@ -128,7 +135,7 @@ class _SweptArea:
         )
 
     def reverse_time(self) -> _SweptArea:
-        """The same swept area with the steps in reverse order."""
+        """Return the same swept area with the steps in reverse order."""
         return _SweptArea(
             self.center[::-1, ::-1], self.heading[::-1, ::-1], self.time[::-1, ::-1], self.speed[::-1, ::-1], self.size
         )
@@ -145,14 +152,17 @@ def _find_overlapping_steps(a: _SweptArea, b: _SweptArea) -> OverlapRuns:
 
 
 def _bounding_circles(sweep: _SweptArea) -> tuple[FloatArray, FloatArray]:
-    """Centres and radii of circles around the hulls."""
+    """Return the centres and radii of circles around the hulls."""
     middle = sweep.corners.mean(1)
     offsets = sweep.corners - middle[:, None]
     return middle, np.hypot(offsets[..., 0], offsets[..., 1]).max(1, initial=0.0)
 
 
 def _visits_of_shared_stretches(a: _SweptArea, b: _SweptArea) -> list[tuple[AreaVisit, AreaVisit]]:
-    """Visits of each entity to the area that the other one sweeps, in pairs: one for each connected stretch."""
+    """Return pairs of visits: each entity's visit to the area that the other entity sweeps.
+
+    There is one pair for each connected stretch on which both areas overlap.
+    """
     pairs = [
         (
             _visit_of_area(a, b, overlap.steps_of_first_path(), overlap.overlaps_of_step),
@@ -166,7 +176,11 @@ def _visits_of_shared_stretches(a: _SweptArea, b: _SweptArea) -> list[tuple[Area
 def _visit_of_area(
     sweep: _SweptArea, area: _SweptArea, steps: IntArray, overlapped_by: Callable[[int], BoolArray]
 ) -> AreaVisit | None:
-    """Visit of the box of `sweep` to the part of `area` that its `steps` overlap; None if they do not touch."""
+    """Return the visit of a moving box to a swept area; None if they do not touch.
+
+    `steps` are the steps of `sweep` that overlap the area, and `overlapped_by` returns the steps of `area` that overlap
+    a step of `sweep`.
+    """
     entry = _time_of_first_touch(sweep, steps, area, overlapped_by, reverse=False)
     exit_ = _time_of_first_touch(sweep, steps[::-1], area, overlapped_by, reverse=True)
     if entry is None or exit_ is None:
@@ -178,9 +192,10 @@ def _visit_of_area(
 def _time_of_first_touch(
     sweep: _SweptArea, steps: IntArray, area: _SweptArea, overlapped_by: Callable[[int], BoolArray], reverse: bool
 ) -> float | None:
-    """Time at which the box first touches the area, in the given order of steps; None if it never does.
+    """Return the time at which the box first touches the area, in the given order of steps; None if it never does.
 
-    The hulls of steps with a turn can overlap although the boxes do not touch.
+    A touch is checked precisely, since the hulls of steps with a turn can overlap although the boxes do not touch. With
+    `reverse`, time runs backwards.
     """
     for step in steps.tolist():
         fine, obstacles = (
@@ -199,7 +214,7 @@ def _time_of_first_touch(
 
 
 def _fraction_until_touch(corners: FloatArray, obstacles: FloatArray, axes: FloatArray) -> float:
-    """Fraction of a step after which the box first touches any of the obstacles, which are convex."""
+    """Return the fraction of a step after which the box first touches any of several convex obstacles."""
     start, motion = corners[:4], corners[4:] - corners[:4]
 
     def gap(fraction: float) -> float:
@@ -213,7 +228,7 @@ def _fraction_until_touch(corners: FloatArray, obstacles: FloatArray, axes: Floa
 def _time_and_speed_at_fraction(
     time: FloatArray, speed: FloatArray, fraction: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Time and speed after a fraction of a step's length; the speed changes linearly in time.
+    """Return time and speed after a fraction of a step's length; the speed changes linearly in time.
 
     `time` and `speed` have shape (..., 2): before and after the step.
     """
@@ -226,7 +241,7 @@ def _time_and_speed_at_fraction(
 
 
 def _split_into_moves(corners: FloatArray) -> tuple[IntArray, IntArray]:
-    """First and last instant of each movement and of each period of standing, (n,) each."""
+    """Return the first and last instant of each movement and of each period of standing, shape (n,) each."""
     exists = np.isfinite(corners).all((1, 2))
     before, after = np.append(False, exists[:-1]), np.append(exists[1:], False)
     start = np.flatnonzero(exists & (after | ~before))

@@ -1,4 +1,4 @@
-"""Crossing of two entities' tracks, and the distances of both to it."""
+"""Crossing of the tracks of two entities, and the distances of both entities to the crossing."""
 
 from __future__ import annotations
 
@@ -9,7 +9,10 @@ from cornercase.metrics._geometry.crossing_kernel import find_track_crossings
 from cornercase.recordings import Recording
 
 _REACH = 1e-6
-"""Distance in m by which a track may miss the other and still cross it, so that rounding opens no gap at a vertex."""
+"""Distance in m by which a track may miss the other track and still cross it.
+
+So rounding errors open no gap at a vertex.
+"""
 
 _MIN_STEP = 1e-9
 """Steps in m up to this length are rounding errors without a direction."""
@@ -21,10 +24,10 @@ _INITIAL_CAPACITY = 256
 
 
 def distances_to_crossing(recording: Recording, ego: str, other: str, ahead: float) -> tuple[FloatArray, FloatArray]:
-    """Distances of ego and other entity to the crossing of their tracks ahead of both, in m, shape (T,) each.
+    """Return the distances of ego and other to the crossing of their tracks ahead, in m, shape (T,) each.
 
-    If there are several crossings, the one with the smallest sum of distances counts. NaN if there is none. Each track
-    goes straight on for `ahead` m after the recording.
+    If several crossings lie ahead of both, the crossing with the smallest sum of distances counts. NaN if there is
+    none. Each track goes straight on for `ahead` m after the recording.
     """
     tracks = _CenterTrack(recording, ego, ahead), _CenterTrack(recording, other, ahead)
     crossings = _crossing_distances(*tracks)
@@ -43,7 +46,10 @@ def distances_to_crossing(recording: Recording, ego: str, other: str, ahead: flo
 
 
 class _CenterTrack:
-    """Polyline through the recorded centres of an entity's box, and the distance along this line at each instant."""
+    """Polyline through the recorded centres of an entity's box, and the distance along it at each instant.
+
+    After the last centre, the line goes straight on for `ahead` m.
+    """
 
     def __init__(self, recording: Recording, name: str, ahead: float) -> None:
         center, heading = recording.box_center(name), recording.heading[recording.entity_index(name)]
@@ -60,7 +66,10 @@ class _CenterTrack:
         self.start, self.step, self.piece_distance = points[moves], points[moves + 1] - points[moves], along[moves]
 
     def pieces_as_array(self) -> FloatArray:
-        """Pieces of the polyline, (n, 6): start x, y, unit direction x, y, length, and distance along the track."""
+        """Return the n straight pieces of the polyline, shape (n, 6).
+
+        Columns: x and y of the start, x and y of the unit direction, length, and distance of the start along the track.
+        """
         length = np.hypot(*self.step.T)
         return np.column_stack([self.start, self.step / length[:, None], length, self.piece_distance])
 
@@ -71,7 +80,7 @@ def _segment_lengths(points: FloatArray) -> FloatArray:
 
 
 def _crossing_distances(a: _CenterTrack, b: _CenterTrack) -> tuple[FloatArray, FloatArray]:
-    """Distances along the tracks `a` and `b` to each of their K crossings, shape (K,) each."""
+    """Return the distances along the tracks `a` and `b` to each of their K crossings in m, shape (K,) each."""
     pieces = a.pieces_as_array(), b.pieces_as_array()
     capacity = _INITIAL_CAPACITY
     while True:

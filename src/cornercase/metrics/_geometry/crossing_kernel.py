@@ -14,10 +14,10 @@ _ROUNDING = 1.0 + 1e-9  # relative tolerance, more than the rounding error of a 
 def find_track_crossings(pieces_a, pieces_b, min_sine, tolerance, out):
     """Find the crossings of two tracks; return their number.
 
-    The distances along both tracks to the crossings are written to `out` (2, capacity). Each track consists of straight
-    pieces, (n, 6): start, direction, length and distance along the track. Two pieces do not cross if the sine of the
-    angle between them is at most `min_sine`. A piece that ends at most `tolerance` before the other track still meets
-    it.
+    The distances along both tracks to the crossings are written to `out`, shape (2, capacity); crossings beyond the
+    capacity are only counted. A track is an array of n straight pieces, shape (n, 6): start, unit direction, length,
+    and distance along the track. Two pieces do not cross if the sine of the angle between them is at most `min_sine`. A
+    piece that ends at most `tolerance` before the other track still crosses it.
     """
     count = 0
     for i in range(len(pieces_a)):

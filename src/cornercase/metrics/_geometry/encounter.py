@@ -1,4 +1,4 @@
-"""Quantities of a recording that several features need, computed once."""
+"""Quantities of an encounter of ego and other entity that several features need, computed once."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from cornercase._common.typing import FloatArray, IntArray
 from cornercase.recordings import Recording
 
 NEVER_MET_DISTANCE: Final = 100.0
-"""Distance in m that stands for two entities that never meet."""
+"""Distance in m that is reported for two entities that never meet."""
 
 _COARSE: Final = 64
 """Number of instants of each path in the first, coarse search."""
 
 _METRES_PER_SECOND: Final = 0.1
-"""Weight of the time between both against the distance of their paths."""
+"""Weight in m/s of the time between both entities, added to the distance of their paths."""
 
 
 class Encounter:
@@ -37,7 +37,7 @@ class Encounter:
     recording : Recording
     ego, other : str
     ego_row, other_row : int
-        Rows of both in the recording.
+        Rows of both entities in the arrays of the recording.
     ego_center, other_center : ndarray of float64, shape (T, 2)
         Centres of the boxes in m, NaN where an entity does not exist.
 
@@ -69,21 +69,21 @@ class Encounter:
 
     @cached_property
     def ego_instants(self) -> IntArray:
-        """Instants at which the ego exists, shape (n,)."""
+        """Indices of the instants at which the ego exists, shape (n,)."""
         return self._instants_of_entity(self.ego_row)
 
     @cached_property
     def other_instants(self) -> IntArray:
-        """Instants at which the other exists, shape (n,)."""
+        """Indices of the instants at which the other entity exists, shape (n,)."""
         return self._instants_of_entity(self.other_row)
 
     @cached_property
     def common_instants(self) -> IntArray:
-        """Instants at which both exist, shape (n,)."""
+        """Indices of the instants at which both entities exist, shape (n,)."""
         return np.intersect1d(self.ego_instants, self.other_instants, assume_unique=True)
 
     def time_since_start(self, instant: int) -> float:
-        """Time from the start of the recording to an instant.
+        """Return the time from the start of the recording to an instant.
 
         Parameters
         ----------
@@ -108,12 +108,12 @@ class Encounter:
 
     @cached_property
     def _driven_distances(self) -> FloatArray:
-        """Distance in m that the ego has driven, at each instant at which it exists."""
+        """Distance in m that the ego has driven until each instant at which it exists."""
         steps = np.diff(self.ego_center[self.ego_instants], axis=0)
         return np.append(0.0, np.cumsum(np.hypot(steps[:, 0], steps[:, 1])))
 
     def distance_driven_until(self, instant: int | None) -> float:
-        """Distance that the ego has driven until an instant.
+        """Return the distance that the ego has driven until an instant.
 
         Parameters
         ----------
@@ -149,7 +149,7 @@ class Encounter:
         return int(candidates[k]), float(gaps[k])
 
     def _box_gaps_at(self, instants: IntArray) -> FloatArray:
-        """Gaps between the boxes at `instants`, in m.
+        """Return the gaps between the boxes at `instants` in m.
 
         For two boxes this is ten times as fast as the general distance function.
         """
@@ -175,7 +175,7 @@ class Encounter:
         return np.where(axis_gap <= 0.0, 0.0, corner_gap)
 
     def other_relative_to_ego(self, instant: int) -> tuple[float, float, float]:
-        """Position of the other in the ego's frame, and its speed.
+        """Return the position of the other entity in the frame of the ego, and the speed of the other entity.
 
         Parameters
         ----------
@@ -197,7 +197,10 @@ class Encounter:
 
     @cached_property
     def path_distance_and_time_gap(self) -> tuple[float, float]:
-        """Distance in m of both paths where they come nearest, and how much later the ego is there, in s."""
+        """Distance in m of both paths where they come nearest, and how much later than the other the ego is there.
+
+        The second value is in s, and negative if the ego is there first.
+        """
         mine, others = self.ego_instants, self.other_instants
         if not len(mine) or not len(others):
             return NEVER_MET_DISTANCE, 0.0
@@ -210,7 +213,10 @@ class Encounter:
         return distance, float(time[mine[i]] - time[others[j]])
 
     def _closest_path_points(self, ego_instants: IntArray, other_instants: IntArray) -> tuple[int, int, float]:
-        """Where both paths come nearest: index into the instants of each entity, and the distance in m."""
+        """Return where both paths come nearest: an index into the instants of each entity, and the distance in m.
+
+        Of points that are about equally near, the points count that both entities pass within a short time.
+        """
         a, b, time = self.ego_center[ego_instants], self.other_center[other_instants], self.recording.time
         distance = np.hypot(a[:, :1] - b[:, 0], a[:, 1:] - b[:, 1])
         delay = np.abs(time[ego_instants][:, None] - time[other_instants])

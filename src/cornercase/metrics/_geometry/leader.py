@@ -14,11 +14,11 @@ from cornercase.recordings import Recording
 
 @dataclass(frozen=True)
 class LeaderGap:
-    """Gap, speeds and accelerations of the ego and a leader along the ego's direction of travel, shape (T,) each.
+    """Gap, speeds and accelerations of the ego and a leader (an entity ahead) at T instants, shape (T,) each.
 
-    Units are m, m/s and m/s². `gap` is how far the ego could go straight on until the boxes touch; 0 if they touch now.
-    It is NaN if the other entity is beside or behind the ego, or one of the two does not exist. `leader_speed` is
-    negative for an oncoming leader.
+    All are measured along the ego's direction of travel, in m, m/s and m/s². `gap` is how far the ego could go straight
+    on until the boxes touch; 0 if they touch now. It is NaN if the other entity is beside or behind the ego, or one of
+    the two does not exist. `leader_speed` is negative for an oncoming leader.
     """
 
     gap: FloatArray
@@ -34,7 +34,7 @@ class LeaderGap:
 
     @classmethod
     def from_recording(cls, recording: Recording, ego: str, other: str) -> LeaderGap:
-        """Compute the gap along the ego's heading, or backwards if the ego reverses."""
+        """Measure the gap along the heading of the ego, or backwards while the ego reverses."""
         i, j = recording.entity_index(ego), recording.entity_index(other)
         sign = np.where(recording.speed[i] < 0.0, -1.0, 1.0)
         heading = recording.heading[i]
@@ -56,10 +56,10 @@ class LeaderGap:
 def time_to_travel_distance(
     distance: FloatArray, speed: FloatArray, acceleration: FloatArray, stops_at_zero_speed: bool = True
 ) -> FloatArray:
-    """Time in s until a distance is travelled with constant acceleration; inf if never, NaN if an input is NaN.
+    """Return the time in s until a distance is travelled with constant acceleration; inf if never.
 
-    This is the smallest t >= 0 with ``speed t + acceleration t² / 2 = distance``. With `stops_at_zero_speed`, braking
-    ends in standing. Otherwise the motion reverses.
+    This is the smallest t >= 0 with ``speed t + acceleration t² / 2 = distance``; NaN if an input is NaN. With
+    `stops_at_zero_speed`, braking ends in standing. Otherwise the motion reverses.
     """
     discriminant = speed**2 + 2.0 * acceleration * distance
     with np.errstate(divide="ignore", invalid="ignore"):

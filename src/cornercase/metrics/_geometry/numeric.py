@@ -19,7 +19,7 @@ def check_nonnegative_options(metric_name: str, **numbers: float) -> None:
 
 
 def divide_by_positive_or_inf(numerator: npt.NDArray[Any], divisor: npt.NDArray[Any] | float) -> FloatArray:
-    """Quotient: 0 if the numerator is 0, otherwise inf if the divisor is not positive."""
+    """Return the quotient: 0 if the numerator is 0, otherwise inf if the divisor is not positive."""
     divisor = np.broadcast_to(divisor, numerator.shape)
     positive = divisor > 0.0
     quotient = np.where(positive, numerator / np.where(positive, divisor, 1.0), np.inf)

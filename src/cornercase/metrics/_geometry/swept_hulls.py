@@ -1,4 +1,4 @@
-"""Compiled intersection tests of the hulls that boxes sweep in small steps."""
+"""Compiled overlap tests of the convex hulls that a box sweeps in small steps."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -17,10 +17,10 @@ _MARGIN = 1e-3  # m by which bounds are wider than a hull
 
 @kernel(error_model="numpy")
 def compute_separating_axes(corners, out):
-    """Write the candidate separating axes of hulls to `out`, shape (n, 8, 2).
+    """Write the candidate separating axes of n hulls to `out`, shape (n, 8, 2).
 
-    `corners` (n, 8, 2) are those of a box before and after a step; the hull encloses both. The axes are unit vectors
-    along and across both boxes, and perpendicular to the motion of each corner.
+    `corners`, shape (n, 8, 2), are the corners of a box before and after a step; the hull encloses both boxes. The axes
+    are unit vectors along and across both boxes, and perpendicular to the motion of each corner.
     """
     for i in range(len(corners)):
         _write_separating_axes(corners[i], out[i])
@@ -59,9 +59,10 @@ def _unit_vector(x, y):
 
 @kernel(error_model="numpy")
 def find_overlapping_hulls(corners_a, axes_a, center_a, radius_a, corners_b, axes_b, center_b, radius_b, tree):
-    """Find the pairs of hulls of `a` and `b` that intersect; return runs (index in a, first and last index in b).
+    """Find which hulls of `a` intersect which hulls of `b`; return runs of consecutive hulls of `b`.
 
-    Each hull lies in a circle with its `center` and `radius`. `tree` is a bounding-box tree of the hulls of `b`.
+    A run has three numbers: index in a, first and last index in b. Each hull lies in a circle with its `center` and
+    `radius`. `tree` is a bounding-box tree of the hulls of `b`.
     """
     leaves, count = len(tree) // 2, 0
     runs = np.empty((64, 3), dtype=np.int64)
@@ -86,7 +87,7 @@ def find_overlapping_hulls(corners_a, axes_a, center_a, radius_a, corners_b, axe
 
 @kernel(error_model="numpy")
 def compute_hull_bounds(corners, out):
-    """Write the bounds of hulls (n, 8, 2) to `out` (n, 4): least x and y, greatest x and y."""
+    """Write the bounds of n hulls, shape (n, 8, 2), to `out`, shape (n, 4): least x and y, greatest x and y."""
     for i in range(len(corners)):
         out[i, 0], out[i, 1], out[i, 2], out[i, 3] = _bounds_with_margin(corners[i])
 
@@ -101,10 +102,11 @@ def _bounds_with_margin(corners):
 
 @kernel(error_model="numpy")
 def gap_to_nearest_hull(start, motion, fraction, corners, axes):
-    """Gap between the part of a step that a box has swept after a `fraction`, and the nearest of some hulls.
+    """Return the gap between a box that has moved for a `fraction` of a step and the nearest of several hulls.
 
-    `start` and `motion` (4, 2) are the corners and their displacement in the step. If the gap is above 0, nothing
-    touches, and it is a lower bound of the distance.
+    The area that the box has swept until then counts. `start` and `motion`, shape (4, 2), are the corners of the box
+    and their displacement in the whole step; `corners` and `axes` describe the hulls. A gap above 0 is a lower bound of
+    the distance; at 0 or below, the areas touch.
     """
     hull, own = np.empty((8, 2)), np.empty((8, 2))
     for corner in range(4):
@@ -120,9 +122,9 @@ def gap_to_nearest_hull(start, motion, fraction, corners, axes):
 
 @kernel(error_model="numpy")
 def _widest_gap_on_axes(a, axes_a, b, axes_b, stop_if_separated):
-    """Widest gap between two convex shapes along any of their separating axes; negative if they overlap.
+    """Return the widest gap between two convex shapes along any of their separating axes; negative if they overlap.
 
-    With `stop_if_separated` it returns the first gap that is above 0 or NaN.
+    With `stop_if_separated`, return the first gap that is above 0 or NaN.
     """
     widest = -np.inf
     for side in range(2):

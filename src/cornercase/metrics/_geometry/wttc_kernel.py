@@ -1,4 +1,4 @@
-"""Compiled solution of the worst time to collision, vectorized over blocks of instants."""
+"""Compiled computation of the worst time to collision, vectorized over blocks of instants."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -18,10 +18,10 @@ _ITERATIONS = 100
 
 @kernel(error_model="numpy")
 def wttc_of_recording(x, y, heading, speed, center_offset, ego_row, other_row, radius, growth, out):
-    """Write the worst time to collision of two entities, given by their rows, to `out` (T,).
+    """Write the worst time to collision of two entities, given by their rows, at each instant to `out`, shape (T,).
 
     The centre of each box is `center_offset` ahead of its reference point. `radius` is the sum of the radii of the
-    circles around the boxes, and `growth` the sum of the greatest accelerations.
+    circles around both boxes, and `growth` is the sum of the greatest accelerations of both entities.
     """
     position, velocity = np.empty((2, _BLOCK)), np.empty((2, _BLOCK))
     radii, growths = np.full(_BLOCK, radius), np.full(_BLOCK, growth)
@@ -44,9 +44,10 @@ def wttc_of_recording(x, y, heading, speed, center_offset, ego_row, other_row, r
 
 @kernel(error_model="numpy")
 def wttc_of_circles(position, velocity, radius, growth, out):
-    """Write the worst time to collision of pairs of growing circles to `out` (n,).
+    """Write the worst time to collision of n pairs of growing circles to `out`, shape (n,).
 
-    `position` and `velocity` (n, 2) are relative; `radius` and `growth` (n,) are sums over both circles.
+    `position` and `velocity`, shape (n, 2), are relative. `radius` is the sum of both radii and `growth` the sum of
+    both greatest accelerations, shape (n,).
     """
     positions, velocities = np.empty((2, _BLOCK)), np.empty((2, _BLOCK))
     radii, growths = np.empty(_BLOCK), np.empty(_BLOCK)
@@ -118,7 +119,7 @@ def _solve_block(position, velocity, radius, growth, count, out):
 
 @kernel(error_model="numpy")
 def _first_maximum_of_quartic(bend, gain, closing, out):
-    """Write to `out` the first maximum of ``gain t⁴/2 - bend t² + 2 closing t``, before the inflection.
+    """Write to `out` the t of the first maximum of ``gain t⁴/2 - bend t² + 2 closing t`` before the inflection.
 
     Half the slope, ``gain t³ - bend t + closing``, is convex and falls up to the inflection. So Newton's method reaches
     the first root from the left.
