@@ -1,1 +1,1 @@
-"""How a recorded scenario ended for the ego, and how the ego went."""
+"""Ending of a recorded scenario for the ego, and numbers that describe how the ego drove."""

@@ -1,4 +1,4 @@
-"""Compiled smallest gap between two boxes that move."""
+"""Compiled search for the smallest gap between two moving boxes."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -17,7 +17,11 @@ _ROUNDING = 1e-6
 
 @kernel(error_model="numpy")
 def smallest_box_gap(shared, x_a, y_a, cos_a, sin_a, size_a, x_b, y_b, cos_b, sin_b, size_b):
-    """Smallest gap between two boxes in m, the first instant of it, and the gap at the first instant in `shared`."""
+    """Find the smallest gap between two moving boxes over the instants in `shared`.
+
+    Return the smallest gap in m, the first instant with this gap, and the gap at the first instant in `shared`. `x`,
+    `y`, `cos` and `sin` are centre and heading of each box at each instant, `size` is length and width.
+    """
     # The gap is at least the centre distance less both circumscribed radii, and at most that less both inscribed radii.
     reach = 0.5 * (math.hypot(size_a[0], size_a[1]) + math.hypot(size_b[0], size_b[1]))
     inner = 0.5 * (min(size_a[0], size_a[1]) + min(size_b[0], size_b[1]))
@@ -46,7 +50,7 @@ def smallest_box_gap(shared, x_a, y_a, cos_a, sin_a, size_a, x_b, y_b, cos_b, si
 
 @kernel(error_model="numpy", _nrt=False)
 def _set_corners(corners, x, y, cos, sin, size):
-    """Corners of a box, counter-clockwise from the front right."""
+    """Write the corners of a box to `corners`, counter-clockwise from the front right."""
     along, across = 0.5 * size[0], 0.5 * size[1]
     for i in range(4):
         ahead = along if i < 2 else -along
@@ -57,7 +61,10 @@ def _set_corners(corners, x, y, cos, sin, size):
 
 @kernel(error_model="numpy", _nrt=False)
 def _box_distance(a, b, axes):
-    """Distance of two boxes; `axes`, shape (4, 2), is filled with those of a, then those of b."""
+    """Return the distance of two boxes; 0 if they overlap.
+
+    `axes`, shape (4, 2), is overwritten with the axes of a, then the axes of b.
+    """
     _set_axes(axes, 0, a)
     _set_axes(axes, 2, b)
     widest = -math.inf
@@ -72,7 +79,10 @@ def _box_distance(a, b, axes):
 
 @kernel(error_model="numpy", _nrt=False)
 def _set_axes(axes, first, box):
-    """Unit vectors along and across a box; one without width or length keeps both, a point gets +x and +y."""
+    """Write the unit vectors along and across a box to `axes`, from row `first` on.
+
+    A box without width or without length has both vectors, too; for a point they are +x and +y.
+    """
     across_x, across_y = box[1, 0] - box[0, 0], box[1, 1] - box[0, 1]
     along_x, along_y = box[1, 0] - box[2, 0], box[1, 1] - box[2, 1]
     along_norm = math.sqrt(along_x * along_x + along_y * along_y)
@@ -95,7 +105,10 @@ def _projected_range(axes, axis, points):
 
 @kernel(error_model="numpy", _nrt=False)
 def _nearest_corner(corners, box, axes, first):
-    """Smallest distance of the corners of a box to another box, whose axes are the two from `first` on."""
+    """Return the smallest distance of the corners of one box to another box, `box`.
+
+    The axes of `box` are two rows of `axes`, from row `first` on.
+    """
     nearest = math.inf
     low_u, high_u = _projected_range(axes, first, box)
     low_v, high_v = _projected_range(axes, first + 1, box)

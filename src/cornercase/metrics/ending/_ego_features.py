@@ -1,4 +1,4 @@
-"""Numeric features of a scenario for the ego: when, how fast, how near, how hard it brakes."""
+"""Numeric features of how the ego drove in a scenario: times, speeds, gaps, braking, distances."""
 
 from __future__ import annotations
 
@@ -17,20 +17,24 @@ from cornercase.recordings._recording import MOTION_ARRAYS
 
 
 def measure_features(recording: Recording, outcome: Outcome, poses: Poses | None = None) -> dict[str, float]:
-    """Measure how a scenario went for the ego: features by name, NaN for what did not happen.
+    """Measure how the ego drove in a scenario: features by name, NaN for what did not happen.
 
-    - ``"impact speed"``, ``"impact time"``: of the ego's first collision, in m/s and s
-    - ``"entry"``, ``"gap"``: when the ego enters the crossing, and the time gap there, in s, as in `PathRelation`
+    - ``"impact speed"``, ``"impact time"``: relative speed and time of the ego's first collision, in m/s and s
+    - ``"entry"``, ``"gap"``: when the ego enters the crossing of the paths, and the time gap there, in s, as in
+      `PathRelation`
     - ``"nearest"``, ``"nearest time"``, ``"first distance"``: smallest gap between the boxes of ego and other, its
       first instant, and the gap at the beginning, in m and s
-    - ``"lowest speed"``, ``"highest speed"``, ``"mean speed"``, ``"first speed"``, ``"last speed"``: of the ego in m/s,
-      without sign; the mean is over all instants, as is ``"mean speed of the other"``
-    - ``"standing"``: time that the ego stands, in s; ``"braking"``: its hardest deceleration while it moves, in m/s²
-    - ``"way"``, ``"duration"``: distance and time that it travels, in m and s
-    - ``"turn"``, ``"shift"``: change of heading to the left in rad, and lateral offset to the left at the end, in m;
-      ``"aside"``: lateral offset of the other to the left at the beginning, in m
+    - ``"lowest speed"``, ``"highest speed"``, ``"mean speed"``, ``"first speed"``, ``"last speed"``: speeds of the ego
+      in m/s, without sign; the mean is over all instants
+    - ``"mean speed of the other"``: mean speed of the other entity in m/s, without sign, over all instants
+    - ``"standing"``: time that the ego stands, in s
+    - ``"braking"``: hardest deceleration of the ego while it moves, in m/s²
+    - ``"way"``, ``"duration"``: distance and time that the ego travels, in m and s
+    - ``"turn"``: change of heading of the ego to the left, in rad
+    - ``"shift"``: lateral offset of the ego to the left from the beginning to the end, in m
+    - ``"aside"``: lateral offset of the other from the ego to the left at the beginning, in m
 
-    `poses` are those of the recording, by default computed anew.
+    `poses` are the poses in the recording; by default they are computed again.
     """
     return measure_all_features(recording, (outcome,), poses)[0]
 
@@ -38,7 +42,11 @@ def measure_features(recording: Recording, outcome: Outcome, poses: Poses | None
 def measure_all_features(
     recording: Recording, outcomes: Sequence[Outcome], poses: Poses | None = None
 ) -> tuple[dict[str, float], ...]:
-    """Measure how a scenario went for the ego, for its outcomes with several other entities."""
+    """Measure the features of `measure_features` for each of several outcomes of one recording.
+
+    The outcomes differ in the main other entity. `poses` are the poses in the recording; by default they are computed
+    again.
+    """
     poses = Poses.from_recording(recording) if poses is None else poses
     ego_features: dict[str, float] = {}
     if outcomes:

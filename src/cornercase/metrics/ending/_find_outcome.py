@@ -1,4 +1,4 @@
-"""Ending of a scenario for the ego: who is first, who collides, and whether the ego stops."""
+"""Search for the ending of a scenario for the ego: who is first, who collides, whether the ego stops."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _SLOWDOWN_SHARE: Final = 0.8
 def find_outcome(recording: Recording, ego: str, other: str, *, others: bool = True) -> Outcome:
     """Determine how a recorded scenario ended for the ego.
 
-    `others=False` skips encounters with further entities; each takes as long again.
+    `others=False` skips encounters with further entities; each of them takes as long as the encounter with `other`.
     """
     return find_outcomes(recording, ego, (other,), others=others)[0]
 
@@ -38,9 +38,10 @@ def find_outcome(recording: Recording, ego: str, other: str, *, others: bool = T
 def find_outcomes(
     recording: Recording, ego: str, main_others: Sequence[str], *, others: bool = True, poses: Poses | None = None
 ) -> tuple[Outcome, ...]:
-    """Determine how a recorded scenario ended for the ego, with each of some entities as the main other one.
+    """Determine how a recorded scenario ended for the ego, once with each of `main_others` as main other entity.
 
-    `poses` are those of the recording, by default computed anew.
+    `others=False` skips encounters with further entities. `poses` are the poses in the recording; by default they are
+    computed again.
     """
     scene = _Scene(recording, ego, Poses.from_recording(recording) if poses is None else poses)
     exists, path = scene.poses.exists[scene.ego_index], scene.path(ego)
@@ -81,7 +82,10 @@ def find_outcomes(
 
 
 class _Scene:
-    """A recording, its ego, and what is computed for both; `speeds` in m/s have no sign, and 0 instead of NaN."""
+    """Recording, ego and poses, with quantities of the entities that are computed once.
+
+    `speeds` are in m/s, without sign, and 0 instead of NaN.
+    """
 
     def __init__(self, recording: Recording, ego: str, poses: Poses):
         self.recording, self.ego, self.poses = recording, ego, poses
@@ -102,9 +106,9 @@ class _Scene:
 def describe_outcome(recording: Recording, ego: str, other: str) -> str:
     """Return the ending as text: who collided, else who was first where the paths cross.
 
-    ``"Ego and Pedestrian collide"``, ``"Ego first"``, ``"Pedestrian first"``, ``"only Pedestrian crosses"`` (the ego
-    had not arrived at the end), ``"Pedestrian ahead"`` or ``"Ego overtakes Pedestrian"`` in a lane, ``"ways do not
-    cross"``, or ``"Pedestrian is never there"``.
+    Texts are ``"Ego and Pedestrian collide"``, ``"Ego first"``, ``"Pedestrian first"``, ``"only Pedestrian crosses"``
+    (the ego had not arrived at the end), ``"Pedestrian ahead"`` or ``"Ego overtakes Pedestrian"`` in a lane, ``"ways do
+    not cross"``, and ``"Pedestrian is never there"``.
     """
     return find_outcome(recording, ego, other, others=False).text
 
@@ -132,7 +136,11 @@ def _find_encounter(scene: _Scene, ego_path: BoxPath, other: str, extrapolate: b
 
 
 def _encounter_after_end(scene: _Scene, ego_path: BoxPath, other_path: BoxPath, other: str) -> PathRelation:
-    """Who alone reached the point where both paths would cross if they went straight on after the end."""
+    """Return the relation of paths that would cross only if both entities went straight on after the end.
+
+    If only one of them reached the point of the crossing in the recording, this entity is first. Otherwise the paths
+    are apart.
+    """
     # An entity that never moves has no path to extrapolate.
     if not (scene.has_moved(scene.ego) and scene.has_moved(other)):
         return PathRelation(other, "apart")
@@ -145,7 +153,11 @@ def _encounter_after_end(scene: _Scene, ego_path: BoxPath, other_path: BoxPath, 
 
 
 def _compare_directions(scene: _Scene, other: str) -> tuple[bool, bool, PathRelation] | None:
-    """Whether both move in the same direction, whether in one lane or adjacent ones, and their encounter if so."""
+    """Compare the directions and lanes in which the ego and another entity move.
+
+    Return whether both move in the same direction, whether they are in one lane or in adjacent lanes, and the relation
+    to use if both hold. None if they never exist at the same time.
+    """
     i, j = scene.ego_index, scene.recording.entity_index(other)
     shared = scene.poses.exists[i] & scene.poses.exists[j]
     begin = int(shared.argmax())
@@ -168,7 +180,7 @@ def _heading_difference(recording: Recording, ego_index: int, other_index: int, 
 
 
 def _relative_position(poses: Poses, ego_index: int, other_index: int, instant: int) -> tuple[float, float]:
-    """Distance of the other's centre ahead of the ego's and to its left at an instant, in m."""
+    """Return how far the other's centre is ahead of the ego's centre, and to its left, at an instant in m."""
     x = float(poses.x[other_index, instant]) - float(poses.x[ego_index, instant])
     y = float(poses.y[other_index, instant]) - float(poses.y[ego_index, instant])
     cos, sin = float(poses.cos[ego_index, instant]), float(poses.sin[ego_index, instant])

@@ -1,10 +1,10 @@
-"""Where the paths of two entities cross, and when each is there; fast enough for every pair in a study.
+"""Fast search for the crossing of the paths of two entities, and for the times at which each is there.
 
-`cornercase.metrics` finds the same exactly: it uses the whole area that a box sweeps between two instants, since
-post-encroachment time is a score that is compared with thresholds. Here boxes are sampled along the paths and only the
-instant of contact is refined, since the question is who is first and by about how much. In 200 recordings of the
-X-intersection the times differed by less than 2 ms, at a fifth of the time. Paths are also extrapolated after the end
-of a recording, which no score may do.
+`cornercase.metrics` computes these times exactly, since post-encroachment time is a score that is compared with
+thresholds. It uses the whole area that a box sweeps between two instants. Here the question is only who is first and by
+about how much, for every pair of entities in a study. So boxes are sampled along the paths, and only the instant of
+contact is refined. In 200 recordings of the X-intersection the times differed by less than 2 ms, at a fifth of the
+time. Paths are also extrapolated after the end of a recording, which no score may do.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from cornercase.metrics.ending._poses import Poses
 
 # Length of the straight extrapolation in m: a waiting car may stand this far before the crossing.
 _EXTRAPOLATED_LENGTH: Final = 20.0
-# Largest distance of boxes along a path as a share of their smaller side, so that none slips through between two.
+# Largest distance of successive boxes along a path, as a share of their smaller side: no box slips through between.
 _BOX_SPACING: Final = 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class BoxPath:
-    """Boxes of an entity along its path.
+    """Boxes of an entity at n points of its path.
 
-    `time` in s, shape (n,); `poses`, shape (4, n), has x and y of the centre in m, and cosine and sine of the heading;
+    `time` in s, shape (n,). `poses`, shape (4, n), has x and y of the centre in m, and cosine and sine of the heading.
     `size` is length and width in m. Times after `end_time` in s were extrapolated.
     """
 
@@ -40,7 +40,7 @@ class BoxPath:
 
     @classmethod
     def from_poses(cls, poses: Poses, entity_index: int) -> BoxPath:
-        """Sample the path of an entity."""
+        """Sample the path of an entity so densely that no other box fits between two successive boxes."""
         i = entity_index
         time, boxes = sample_path(
             poses.time, poses.exists[i], poses.x[i], poses.y[i], poses.cos[i], poses.sin[i],
@@ -64,7 +64,10 @@ class BoxPath:
 
 @dataclass(frozen=True)
 class Crossing:
-    """When two entities are in the overlap of both paths, in s; `leaves` is the last instant if one does not leave."""
+    """Times in s at which an entity and another entity enter and leave the overlap of their paths.
+
+    For an entity that does not leave, the time of leaving is the last instant.
+    """
 
     enters: float
     leaves: float
@@ -73,7 +76,7 @@ class Crossing:
 
 
 def find_path_crossing(path: BoxPath, other_path: BoxPath) -> Crossing | None:
-    """Return when two entities are in the first overlap of their paths; None if the paths do not overlap."""
+    """Return when two entities enter and leave the first overlap of their paths; None if the paths do not overlap."""
     if not len(path.time) or not len(other_path.time):
         return None
     crosses, *times = find_first_crossing(

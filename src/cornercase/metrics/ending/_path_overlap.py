@@ -1,4 +1,4 @@
-"""Compiled sampling of paths, and overlap tests of boxes along two of them."""
+"""Compiled sampling of paths, and search for the overlap of two paths."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -21,7 +21,7 @@ _MARGIN = 1e-3
 """Margin of the bounding circles in m, far more than rounding."""
 
 _N_BISECTIONS = 20
-"""Number of bisections of a step to find the instant of contact, to a millionth of the step."""
+"""Number of bisections of a step in the search for the instant of contact: to a millionth of the step."""
 
 _MAX_SUBSTEPS = 50
 """Largest number of parts of a time step."""
@@ -32,9 +32,10 @@ _STANDING_TOLERANCE = 1e-9
 
 @kernel(error_model="numpy")
 def sample_path(time, exists, x, y, cos, sin, max_spacing):
-    """Return times, shape (n,), and poses, shape (4, n), of boxes along a path that are at most `max_spacing` apart.
+    """Return times, shape (n,), and poses, shape (4, n), of boxes that are at most `max_spacing` apart on a path.
 
-    While the entity stands, the first and the last instant are enough.
+    A pose is x and y of the centre, and cosine and sine of the heading. While the entity stands, only the first and the
+    last instant are sampled.
     """
     n_instants, n_selected = len(time), 0
     selected = np.empty(n_instants, dtype=np.int64)
@@ -83,10 +84,10 @@ def sample_path(time, exists, x, y, cos, sin, max_spacing):
 
 @kernel(error_model="numpy")
 def find_first_crossing(time_a, poses_a, size_a, time_b, poses_b, size_b):
-    """Return whether two paths overlap, and when each is in the overlap that is reached first.
+    """Return whether two paths overlap, and when each entity is in the overlap that is reached first.
 
-    Pairs of boxes that overlap belong to one overlap of the paths if each is connected with the next through some of
-    its eight neighbours. Times are those of the first and last contact of path a, then of path b, in s.
+    Pairs of boxes that overlap belong to one overlap of the paths if they are connected through pairs of neighbouring
+    boxes that overlap. Times are of the first and last contact of path a, then of path b, in s.
     """
     nothing = (False, math.nan, math.nan, math.nan, math.nan)
     if _bounding_boxes_are_disjoint(poses_a, size_a, poses_b, size_b):
@@ -132,7 +133,7 @@ def _bounds_of_centres(poses):
 
 @kernel(error_model="numpy")
 def _connect_runs(runs):
-    """Return for each run the first run of its connected component."""
+    """Return for each run (see `_find_overlap_runs`) the first run of its connected component."""
     roots = np.empty(len(runs), dtype=np.int64)
     for run in range(len(runs)):
         roots[run] = run
@@ -161,9 +162,9 @@ def _find_root(roots, run):
 
 @kernel(error_model="numpy")
 def _contact_times(time, poses, size, other_poses, other_size, runs, roots, root, is_path_a):
-    """When one of the paths is in an overlap: first and last contact of its boxes with boxes of the other path.
+    """Return the first and last time at which the boxes of one path touch the other path in one overlap.
 
-    The overlap has the runs whose root is `root`.
+    The overlap consists of the runs (see `_find_overlap_runs`) whose root is `root`.
     """
     begin, end = (0, 0) if is_path_a else (1, 2)
     first, last = len(time), -1
@@ -194,10 +195,11 @@ def _contact_times(time, poses, size, other_poses, other_size, runs, roots, root
 
 @kernel(error_model="numpy")
 def _find_overlap_runs(poses_a, size_a, poses_b, size_b, tree):
-    """Return which boxes of path a overlap which of path b, as runs: a step of a, first and last box of b.
+    """Return which boxes of path a overlap which boxes of path b, as runs of consecutive boxes of path b.
 
-    `poses_a`, shape (4, n), and `poses_b`, shape (4, m), have rows x, y, cosine and sine of the heading; sizes are
-    length and width; `tree` is the AABB tree of the centres of path b.
+    A run is a box of a, and the first and last box of b. `poses_a`, shape (4, n), and `poses_b`, shape (4, m), have
+    rows x, y, cosine and sine of the heading; sizes are length and width. `tree` is the bounding-box tree of the
+    centres of path b.
     """
     reach = 0.5 * (math.hypot(size_a[0], size_a[1]) + math.hypot(size_b[0], size_b[1]))
     wide = reach + _MARGIN
@@ -261,7 +263,7 @@ def _contact_fraction(poses_a, size_a, before, after, poses_b, size_b, touched, 
 
 @kernel(error_model="numpy", _nrt=False)
 def _boxes_overlap(x, y, cos_a, sin_a, size_a, cos_b, sin_b, size_b):
-    """Separating-axis test of two boxes whose centres differ by (x, y)."""
+    """Return whether two boxes overlap whose centres differ by (x, y) (separating-axis test)."""
     cos, sin = abs(cos_a * cos_b + sin_a * sin_b), abs(cos_a * sin_b - sin_a * cos_b)
     length_a, width_a, length_b, width_b = 0.5 * size_a[0], 0.5 * size_a[1], 0.5 * size_b[0], 0.5 * size_b[1]
     return (

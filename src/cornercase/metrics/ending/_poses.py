@@ -1,4 +1,4 @@
-"""Poses of all boxes of a recording, computed once for all questions about it."""
+"""Poses of all boxes of a recording, computed once and shared by all analyses of the recording."""
 
 from __future__ import annotations
 
@@ -12,10 +12,11 @@ from cornercase.recordings import Recording
 
 @dataclass(frozen=True, eq=False)
 class Poses:
-    """Boxes of A entities at T instants.
+    """Poses and sizes of the boxes of A entities at T instants.
 
-    `time` in s, shape (T,). `exists`, shape (A, T): the instants at which an entity exists. `x` and `y` of the centres
-    in m, and `cos` and `sin` of the headings, shape (A, T). `size`, shape (A, 2): length and width in m.
+    `time` in s, shape (T,). `exists`, shape (A, T), says whether an entity exists at an instant. `x` and `y` of the
+    centres in m, and `cos` and `sin` of the headings, have shape (A, T). `size`, shape (A, 2), is length and width in
+    m.
     """
 
     time: FloatArray
