@@ -21,39 +21,39 @@ _SEVERITY_WEIGHT = 0.1
 class Metric(Configurable, ABC):
     """A criticality metric: how critical a recording is for the ego and one other entity.
 
-    A subclass sets the attributes and defines `course`, the value at each instant. An object of it is used itself
-    wherever metrics are given in Python: ``Problem(…, metrics=[SpeedDifference()])``. A study stores its class name,
-    unit, direction and cap: it can be read without the class, and continued with the same object.
+    A subclass sets the attributes and defines `course`, the value at each instant. An object of the subclass is given
+    like any other metric: ``Problem(…, metrics=[SpeedDifference()])``. A study stores the class name, unit, direction
+    and cap of the metric. So the study can be read without the class. To continue the study, give the object again.
 
     Attributes
     ----------
     name : str
-        As on the command line: ``"wttc"``. It must not be the name of another metric; options of the constructor are
-        added after a colon.
+        Name as on the command line, such as ``"wttc"``; no other metric may have this name. Options of the constructor
+        are added after a colon.
     unit : str
-        Of the course and the score; ``"1"`` for none.
+        Unit of the course and the score; ``"1"`` for a metric without unit.
     lower_is_critical : bool
-        False if a large value is critical.
+        True if low values are critical, False if high values are critical.
     cap : float
-        Least critical value. Values beyond it are clipped, and undefined ones are replaced by it.
+        Least critical value. Less critical values are clipped to the cap, and undefined values are replaced by the cap.
     bound : float or None, default None
-        Most critical value, for metrics that can be infinitely critical. Values beyond it are clipped. None if the
-        metric is bounded by itself.
+        Most critical value, for metrics that can be infinitely critical. More critical values are clipped to the bound.
+        None for metrics that are bounded by their definition.
     default_threshold : float or None, default None
-        Score from which a scenario counts as critical unless the user gives another one. None if the literature has
-        none.
+        Score from which a scenario counts as critical, unless the user gives another threshold. None if the literature
+        has no threshold.
     contact_score : float or None, default None
-        A recording in which both touch scores this or something more critical. For metrics whose course does not see
-        contacts, so that no collision counts as less critical than a near miss.
+        Least critical score of a recording in which both entities touch. For metrics whose course does not show
+        contacts: with it, no collision counts as less critical than a near miss.
     severity : bool, default False
-        Whether collisions score beyond `contact_score` by how hard they are; see `score_with_contact`.
+        True if harder collisions get scores beyond `contact_score`; see `score_with_contact`.
     required_option : str, default ""
-        Placeholder of what the user has to write behind the colon, for a metric that means nothing without it, such as
-        ``"FORMULA"``. Such metrics are left out if all metrics are measured.
+        Placeholder, such as ``"FORMULA"``, for the option that the user has to write behind the colon. For metrics that
+        mean nothing without this option; they are left out if all metrics are measured.
     ego_only : bool, default False
-        Whether it depends on the ego and the roads alone, so that it is the same against each other entity.
+        True if the metric depends on the ego and the roads alone, so that other entities do not matter.
     source : str
-        Where the definition is published.
+        Publication that defines the metric.
 
     See Also
     --------
@@ -104,7 +104,7 @@ class Metric(Configurable, ABC):
         Returns
         -------
         ndarray of float64, shape (T,)
-            In the metric's unit; NaN where it is not defined.
+            Values in the metric's unit; NaN at instants at which the metric is not defined.
 
         Raises
         ------
@@ -125,7 +125,7 @@ class Metric(Configurable, ABC):
         """
 
     def clip_course(self, course: FloatArray) -> FloatArray:
-        """Clip a course between `cap` and `bound`, so that it is finite everywhere.
+        """Clip a course to the range between `cap` and `bound`, and replace undefined values by `cap`.
 
         Parameters
         ----------
@@ -134,14 +134,14 @@ class Metric(Configurable, ABC):
         Returns
         -------
         ndarray of float64, shape (T,)
-            `cap` where the metric is not defined.
+            Clipped values; `cap` at instants at which the metric is not defined.
         """
         filled = np.where(np.isnan(course), self.cap, course)
         low, high = (self.bound, self.cap) if self.lower_is_critical else (self.cap, self.bound)
         return np.asarray(np.clip(filled, low, high))
 
     def score(self, course: FloatArray) -> float:
-        """Most critical value of the clipped course.
+        """Return the most critical value of the clipped course.
 
         Parameters
         ----------
@@ -156,16 +156,16 @@ class Metric(Configurable, ABC):
         return float(values.min() if self.lower_is_critical else values.max())
 
     def score_with_contact(self, score: float, velocity_change: float) -> float:
-        """Adapt the score of a recording in which both entities touch: at least as critical as `contact_score`.
+        """Make the score of a recording in which both entities touch at least as critical as `contact_score`.
 
-        With `severity`, harder collisions score beyond `contact_score`, by a tenth of the velocity change in m/s. A
-        touch without speed scores `contact_score`, and a velocity change of 10 m/s is more critical by 1. Thresholds
-        keep their meaning, since only collisions score beyond `contact_score`.
+        With `severity`, the score becomes more critical by a tenth of the velocity change in m/s: a touch without speed
+        scores `contact_score`, and a velocity change of 10 m/s is more critical by 1. Thresholds keep their meaning,
+        since only collisions score beyond `contact_score`.
 
         Parameters
         ----------
         score : float
-            Score of the course.
+            Score of the course, without regard to the contact.
         velocity_change : float
             Velocity change in m/s of the entity whose velocity changes more.
 
@@ -183,7 +183,7 @@ class Metric(Configurable, ABC):
     def to_minimize(self, scores: Score) -> Score:
         """Orient scores so that lower is more critical: negate them if the metric is critical when high.
 
-        Applied twice, it gives the original scores.
+        A second call gives the original scores again.
 
         Parameters
         ----------
@@ -201,7 +201,7 @@ class Metric(Configurable, ABC):
         Parameters
         ----------
         threshold : float, optional
-            As given by the user; by default the metric's own.
+            Threshold given by the user; by default `default_threshold`.
 
         Returns
         -------

@@ -1,4 +1,4 @@
-"""Metrics of the braking that the ego needs because of another entity ahead, and its stopping distance."""
+"""Metrics of the stopping distance of the ego, and of the braking that it needs because of an entity ahead."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ class Drac(Metric):
     """Deceleration rate to avoid a crash: the braking that just removes the speed difference before contact.
 
     ``Δv² / (2 gap)`` in m/s², with the closing speed Δv and the gap along the ego's heading. The other entity keeps its
-    speed. If it stands, it is an obstacle; if it is oncoming, Δv is the sum of both speeds. The value is 0 if the gap
-    does not shrink, and inf at contact while it does. Not defined if the other entity is not ahead of the ego, or one
-    of the two does not exist. Least critical value (cap): 0; most critical value: 20 m/s².
+    speed. A standing entity is an obstacle; for an oncoming entity, Δv is the sum of both speeds. The value is 0 if the
+    gap does not shrink, and inf if the boxes touch while the gap shrinks. Not defined if the other entity is not ahead
+    of the ego, or one of the two does not exist. Least critical value (cap): 0; most critical value: 20 m/s².
 
     Source: D. F. Cooper, N. Ferguson, "Traffic studies at T-junctions", Traffic Engineering and Control 17 (1976); also
     A. Guido et al. (2010).
@@ -47,9 +47,9 @@ class Mdrac(Metric):
     """Modified deceleration rate to avoid a crash: the braking begins after a reaction time.
 
     ``Δv / (2 (gap / Δv - t_r))`` in m/s², with the closing speed Δv and the reaction time t_r. The value is 0 if the
-    gap does not shrink, and inf if the ego reaches the other entity within the reaction time. Standing and oncoming
-    entities are treated as in `Drac`. Not defined if the other entity is not ahead of the ego, or one of the two does
-    not exist. Least critical value (cap): 0; most critical value: 20 m/s².
+    gap does not shrink, and inf if the ego reaches the other entity within the reaction time. A standing entity is an
+    obstacle; for an oncoming entity, Δv is the sum of both speeds. Not defined if the other entity is not ahead of the
+    ego, or one of the two does not exist. Least critical value (cap): 0; most critical value: 20 m/s².
 
     Source: W. K. M. Alhajyaseen, "The integration of conflict probability and severity for the safety assessment of
     intersections", Arabian Journal for Science and Engineering 40 (2015), after Cunto (2008).
@@ -88,10 +88,11 @@ class Mdrac(Metric):
 class Dst(Metric):
     """Deceleration to safety time: the braking that removes the speed difference and keeps a time gap.
 
-    ``Δv² / (2 (gap - v_other t_s))`` in m/s², with the closing speed Δv and the safety time t_s; a safety time of 0
-    gives `Drac`. The value is 0 if the gap does not shrink. It is inf if the gap shrinks and is already less than the
-    safety time requires. Standing and oncoming entities are treated as in `Drac`. Not defined if the other entity is
-    not ahead of the ego, or one of the two does not exist. Least critical value (cap): 0; most critical value: 20 m/s².
+    ``Δv² / (2 (gap - v_other t_s))`` in m/s², with the closing speed Δv, the speed v_other of the other entity and the
+    safety time t_s. A safety time of 0 gives `Drac`. The value is 0 if the gap does not shrink, and inf if the gap
+    shrinks and is at most v_other t_s. A standing entity is an obstacle; v_other is negative for an oncoming entity.
+    Not defined if the other entity is not ahead of the ego, or one of the two does not exist. Least critical value
+    (cap): 0; most critical value: 20 m/s².
 
     Source: C. Hupfer, "Deceleration to safety time (DST) – a useful figure to evaluate traffic safety?", ICTCT
     Conference (1997).
@@ -131,10 +132,11 @@ class Dst(Metric):
 class LongitudinalAcceleration(Metric):
     """Required longitudinal acceleration: the weakest constant braking with which the ego avoids a contact.
 
-    The other entity ahead keeps its acceleration a₂ until it stands. If the ego reaches the other's speed v₂ before
-    that, at ``2 gap / Δv <= v₂ / |a₂|``, the value is ``a₂ - Δv² / (2 gap)``. Otherwise the ego stops behind the other,
-    with ``-v² / (2 (gap + v₂² / (2 |a₂|)))``. The unit is m/s²; values are negative, and lower is more critical. The
-    value is 0 if no braking is needed, and -inf at contact while the gap shrinks.
+    The other entity ahead has the speed v₂ and keeps its acceleration a₂ until it stands. The ego has the speed v, and
+    Δv is ``v - v₂``. If the ego can match the speed of the other before the other stands, which is so for
+    ``2 gap / Δv <= v₂ / |a₂|``, the value is ``a₂ - Δv² / (2 gap)``. Otherwise the ego stops behind the other, with
+    ``-v² / (2 (gap + v₂² / (2 |a₂|)))``. The unit is m/s²; values are negative, and lower is more critical. The
+    value is 0 if no braking is needed, and -inf if the boxes touch while the gap shrinks.
 
     A standing entity is an obstacle. For an oncoming entity the value is the acceleration after which the gap no longer
     shrinks; the ego alone cannot always achieve this. Not defined if the other entity is not ahead of the ego, or one
@@ -165,12 +167,12 @@ class LongitudinalAcceleration(Metric):
 
 
 class Btn(Metric):
-    """Brake threat number: required over available braking.
+    """Brake threat number: required braking divided by available braking.
 
     The required longitudinal acceleration (`LongitudinalAcceleration`) divided by the greatest deceleration of the ego,
-    without unit. It is 1 if full braking just avoids the contact, and 0 if no braking is needed. Standing entities are
-    treated as in `LongitudinalAcceleration`, and it is undefined in the same cases. Least critical value (cap): 0; most
-    critical value: 5.
+    without unit. The value is 1 if full braking just avoids the contact, and 0 if no braking is needed. A standing
+    entity is an obstacle. Not defined if the other entity is not ahead of the ego, or one of the two does not exist.
+    Least critical value (cap): 0; most critical value: 5.
 
     Source: M. Brännström, J. Sjöberg, E. Coelingh, "A situation and threat assessment algorithm for a rear-end
     collision avoidance system", IEEE Intelligent Vehicles Symposium (2008).
@@ -210,8 +212,9 @@ class Btn(Metric):
 class StoppingDistance(Metric):
     """Shortest distance in which the ego can stop, ``v² / (2 a)`` in m.
 
-    It does not depend on the other entity. A standing ego gives 0. Not defined if the ego does not exist. Least
-    critical value (cap): 0 m. Most critical value: 500 m, which is also the score of a recording in which both touch.
+    v is the speed of the ego and a its greatest deceleration. The other entity does not matter. A standing ego gives 0.
+    Not defined if the ego does not exist. Least critical value (cap): 0 m. Most critical value: 500 m, which is also
+    the score of a recording in which both touch.
 
     Source: minimal stopping distance, as in Westhofen et al. 2023.
 
@@ -247,9 +250,10 @@ class StoppingDistance(Metric):
 
 
 def required_longitudinal_acceleration(leader: LeaderGap) -> FloatArray:
-    """Weakest acceleration that avoids contact (see `LongitudinalAcceleration`), shape (T,), in m/s², at most 0.
+    """Return the acceleration in m/s², at most 0, of the weakest braking that avoids contact with a leader.
 
-    NaN where `leader` has no gap.
+    One value for each instant, shape (T,); NaN if `leader` has no gap at the instant. The formula is in
+    `LongitudinalAcceleration`.
     """
     closing, acceleration = leader.closing_speed, leader.leader_acceleration
     brakes = (leader.leader_speed > 0.0) & (acceleration < 0.0)

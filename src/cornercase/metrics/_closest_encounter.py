@@ -11,7 +11,7 @@ from cornercase.metrics._geometry.boxes import box_corners_over_time, relative_v
 from cornercase.recordings import Recording
 
 _GAP_TOLERANCE = 1e-9
-"""Gaps in m that differ by less are equal."""
+"""Difference in m up to which two gaps count as equal."""
 
 
 class Dce(Metric):
@@ -26,9 +26,9 @@ class Dce(Metric):
     Parameters
     ----------
     centers : bool, default False
-        Measure between the centres of the boxes instead.
+        Measure between the centres of the boxes instead of their edges.
     severity : bool, default False
-        Score collisions below 0, by how hard they are (`Metric.score_with_contact`).
+        Score collisions below 0, harder ones lower (`Metric.score_with_contact`).
 
     Examples
     --------
@@ -59,16 +59,16 @@ class Dce(Metric):
 class Ttce(Metric):
     """Time to closest encounter: when the gap between the boxes is smallest if both go straight on.
 
-    The first t >= 0 in s at which the gap of `Dce` is reached. If the boxes will touch, this is the time to collision.
-    It is 0 if both stand or move apart. Not defined if one of the two does not exist. It says when the closest
-    encounter is, not how close, so use it together with `Dce`. Least critical value (cap): 10 s.
+    The first t >= 0 in s at which the gap has its smallest value (`Dce`). If the boxes will touch, this is the time to
+    collision. The value is 0 if both stand or move apart. Not defined if one of the two does not exist. The value says
+    when both come closest, not how close, so use it together with `Dce`. Least critical value (cap): 10 s.
 
     Source: J. Eggert, "Predictive risk estimation for intelligent ADAS functions", IEEE ITSC (2014).
 
     Parameters
     ----------
     centers : bool, default False
-        Measure between the centres of the boxes instead.
+        Measure between the centres of the boxes instead of their edges.
 
     Examples
     --------
@@ -93,9 +93,10 @@ class Ttce(Metric):
 
 
 def closest_encounter(recording: Recording, ego: str, other: str, centers: bool) -> tuple[FloatArray, FloatArray]:
-    """Smallest gap from each instant on in m, and the time until then in s, shape (T,) each.
+    """Return the smallest gap in m from each instant on, and the time in s until then, shape (T,) each.
 
-    Both are NaN if an entity does not exist. With `centers`, the gap is measured between the centres of the boxes.
+    Both entities are assumed to go straight on from the instant. Values are NaN if an entity does not exist. With
+    `centers`, the gap is measured between the centres of the boxes.
     """
     velocity = relative_velocity(recording, ego, other)
     if centers:
@@ -113,9 +114,9 @@ def closest_encounter(recording: Recording, ego: str, other: str, centers: bool)
 
 
 def _closest_approach_to_origin(points: FloatArray, velocity: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Smallest distance of moving points to the origin, and the first time at which it is reached.
+    """Return the smallest distance from the origin to any of n moving points, and the first time of it.
 
-    `points` has shape (T, n, 2), `velocity` has shape (T, 2).
+    `points`, shape (T, n, 2), are the positions at T instants, and `velocity`, shape (T, 2), is common to all points.
     """
     squared_speed = (velocity**2).sum(-1)
     moves = squared_speed > 0.0

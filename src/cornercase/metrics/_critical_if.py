@@ -1,4 +1,4 @@
-"""Metric of a condition that defines which scenarios are critical."""
+"""Metric that says how far a run is from fulfilling a condition that defines critical scenarios."""
 
 from __future__ import annotations
 
@@ -24,33 +24,36 @@ from cornercase.metrics.expressions._recorded_signals import (
 )
 from cornercase.recordings import Recording
 
-# Score of a run that is exactly at the bound, though the condition does not hold.
+# Score of a run that is exactly at a bound of the condition, but does not fulfil the condition.
 _EPSILON: Final = 1e-9
 
 
 class CriticalIf(Metric):
-    """How far a run is from fulfilling a condition on collisions, scores, and what a reference driver prevents.
+    """Distance of a run from fulfilling a condition, such as ``collision and not reference:cc-human``.
 
-    In the condition, a bound on a metric refers to the score, unless a temporal operator says when it has to hold. The
-    score of a run is 0 or below if the condition holds; otherwise it is the robustness with the opposite sign. For
-    ``and`` the part counts that is farthest from holding, for ``or`` the nearest. The distance of a collision is the
-    clearance to the other entity. The distance of a bound is the difference of score and bound. A reference driver has
-    no distance: if it alone decides that the condition does not hold, the score is the cap. The course is the distance
-    from holding at each instant, assuming that reference drivers decide in favour of the condition. With several other
-    entities, a bound with a temporal operator has to hold against one of them.
+    A condition combines collisions, bounds on metrics, and reference drivers (``reference:NAME``: the ego would collide
+    if this driver drove it). A bound refers to the score of its metric, unless a temporal operator says when the bound
+    has to hold.
 
-    Searched by ``cornercase explore --critical-if``, which runs the reference drivers. A recording alone cannot be
-    measured. The cap is the farthest that a part can be from holding; it is 100 for a collision, and if no part has a
-    distance. The most critical value is minus the cap, or -100 if that is lower.
+    The score of a run is 0 or below if the condition holds. Otherwise the score is the robustness with the opposite
+    sign. For ``and``, the part that is farthest from holding counts; for ``or``, the nearest part. The distance of a
+    collision is the clearance to the other entity. The distance of a bound is the difference between score and bound. A
+    reference driver has no distance: if reference drivers alone decide that the condition does not hold, the score is
+    the cap. The course is the distance from holding at each instant, assuming that reference drivers decide in favour
+    of the condition. With several other entities, a bound with a temporal operator has to hold against one of them.
 
-    Source: UN Regulation No. 157, Annex 4, Appendix 3, where preventable is what a reference driver prevents; distances
-    are combined as in G. E. Fainekos, G. J. Pappas, "Robustness of temporal logic specifications for continuous-time
-    signals", Theoretical Computer Science 410 (2009).
+    The metric is computed by ``cornercase explore --critical-if``, which runs the reference drivers. It cannot be
+    measured on a recording alone. The cap is the largest distance that a part can have; it is 100 for a collision, and
+    if no part has a distance. The most critical value is minus the cap, or -100 if that is lower.
+
+    Source: UN Regulation No. 157, Annex 4, Appendix 3, by which a collision is preventable if a reference driver
+    prevents it; distances are combined as in G. E. Fainekos, G. J. Pappas, "Robustness of temporal logic specifications
+    for continuous-time signals", Theoretical Computer Science 410 (2009).
 
     Parameters
     ----------
     condition : str, default "collision"
-        Everything behind the colon: ``"critical-if:collision and not reference:cc-human"``.
+        Text behind the colon of the name, as in ``"critical-if:collision and not reference:cc-human"``.
 
     Examples
     --------
@@ -85,7 +88,7 @@ class CriticalIf(Metric):
 
     @classmethod
     def from_text(cls, condition: str) -> CriticalIf:
-        """Create the metric of a condition; its name is the normalized text, whatever the spelling.
+        """Create the metric of a condition; the name of the metric has the condition in its normalized spelling.
 
         Parameters
         ----------
@@ -111,17 +114,17 @@ class CriticalIf(Metric):
 
     def check_installed(self) -> None:
         raise InputError(
-            f"The metric '{self.name}' is what a search for its condition stores; give the condition to a search as"
-            " `critical_if`, or measure a formula: 'stl:…'."
+            f"The metric '{self.name}' cannot be given as a metric, since a search for its condition adds it; give the"
+            " condition to a search as `critical_if`, or measure a formula: 'stl:…'."
         )
 
     def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
-        # A score is a bound on the course here.
+        # At each instant, the course takes the place of the score.
         parts = {name: METRICS.create(name) for name in self.condition.metrics}
         courses = {name: metric.course(recording, ego, other) for name, metric in parts.items()}
         scores = {f"{SCORE_PREFIX}{name})": parts[name].clip_course(course) for name, course in courses.items()}
         signals = signals_from_recording(recording, ego, other, courses)
-        # Some signals are computed only when they are asked for.
+        # Some signals are computed on first access only.
         names = {signal.name for bound in self.condition.bounds for signal in bound.signals} | courses.keys()
         values = {name: signals.values[name] for name in names - scores.keys()} | scores
         signals = Signals(recording.time, values, recording, ego, (other,))
@@ -160,16 +163,19 @@ class CriticalIf(Metric):
 class ConditionState:
     """State of a condition for one run, before reference drivers are run.
 
-    It holds the evaluation of the condition against each other entity. The methods take `outcomes`, which map the name
-    of a reference driver to whether it collides. None means that the driver does not apply to the scenario; a driver
-    that was not run is missing.
+    `evaluations` holds the evaluation of the condition against each other entity. The methods take `outcomes`, which
+    map the name of a reference driver to whether the driver collides. None means that the driver does not apply to the
+    scenario; a driver that was not run is missing.
     """
 
     metric: CriticalIf
     evaluations: tuple[Evaluation, ...]
 
     def next_reference_to_run(self, outcomes: Mapping[str, bool | None]) -> str | None:
-        """Name of the reference driver to run next; None if the condition is decided, or no driver could decide it."""
+        """Return the name of the reference driver to run next.
+
+        None if the condition is decided, or if all its reference drivers have been run.
+        """
         if self.is_fulfilled(outcomes) is not None:
             return None
         pending = [name for name in self.metric.reference_drivers if name not in outcomes]
@@ -181,17 +187,17 @@ class ConditionState:
         return next(decisive, pending[0] if pending else None)
 
     def is_fulfilled(self, outcomes: Mapping[str, bool | None]) -> bool | None:
-        """Whether the condition holds; None if that depends on a reference driver without an outcome."""
+        """Return whether the condition holds; None if that depends on a reference driver without an outcome."""
         states = [evaluation.with_references(outcomes).is_fulfilled() for evaluation in self.evaluations]
         return True if True in states else None if None in states else False
 
     def score(self, outcomes: Mapping[str, bool | None]) -> float:
-        """Score of the run: 0 or below if the condition holds, above 0 if not, the cap if it is undecided."""
+        """Return the score of the run: 0 or below if the condition holds, above 0 if not, the cap if undecided."""
         holds = self.is_fulfilled(outcomes)
         if holds is None:
             return self.metric.cap
         evaluations = [evaluation.with_references(outcomes) for evaluation in self.evaluations]
-        # What is not known counts against the side that is decided.
+        # Unknown statements count against the verdict.
         assumed = -np.inf if holds else np.inf
         distance = 0.0 - max(float(evaluation.robustness(assumed)[0]) for evaluation in evaluations)
         value = min(distance, 0.0) if holds else max(distance, _EPSILON)
@@ -199,6 +205,6 @@ class ConditionState:
 
 
 def find_critical_if_condition(metrics: Iterable[str]) -> str:
-    """Return the condition that defines what is critical in a study, from its metrics; empty if there is none."""
+    """Return the condition of the metric ``critical-if:CONDITION`` in a list of metrics; empty without it."""
     parts = (metric.partition(":") for metric in metrics)
     return next((text for name, _, text in parts if name == CONDITION_METRIC), "")

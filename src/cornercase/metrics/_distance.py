@@ -1,4 +1,4 @@
-"""Distance between centres, and between bounding boxes."""
+"""Metrics of the distance between two bounding boxes, and between their centres."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Distance(Metric):
     Parameters
     ----------
     severity : bool, default False
-        Score collisions below 0, by how hard they are (`Metric.score_with_contact`).
+        Score collisions below 0, harder ones lower (`Metric.score_with_contact`).
 
     Examples
     --------
@@ -65,7 +65,7 @@ class Clearance(Metric):
     Parameters
     ----------
     severity : bool, default False
-        Score collisions below 0, by how hard they are (`Metric.score_with_contact`).
+        Score collisions below 0, harder ones lower (`Metric.score_with_contact`).
 
     Examples
     --------

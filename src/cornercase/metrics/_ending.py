@@ -1,4 +1,7 @@
-"""What other rooms use of `cornercase.metrics.ending`; it is compiled, so they import it where they need it."""
+"""Functions and classes of `cornercase.metrics.ending` for other subpackages.
+
+Import this module inside the functions that need it, since it loads compiled code.
+"""
 
 from cornercase.metrics.ending._ego_features import measure_all_features as measure_all_features
 from cornercase.metrics.ending._find_outcome import describe_outcome as describe_outcome

@@ -1,4 +1,4 @@
-"""Evaluation of an expression for one run: robustness, truth, and what decides."""
+"""Evaluation of a logical expression in one run: robustness, truth, and the part that decides."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ class Evaluation:
     """An expression evaluated in one run, from the values of its bounds (``ttc < 1``) and statements (``collision``).
 
     The robustness follows Fainekos and Pappas 2009 and Donzé and Maler 2010: minimum for ``and`` and ``always``,
-    maximum for ``or`` and ``eventually``. If the run does not show whether a statement holds, the caller chooses the
-    value that is assumed: the one in favour of the expression, or the one against it. A bound that is never defined
-    counts as not violated.
+    maximum for ``or`` and ``eventually``. If the run does not show whether a statement holds, the caller chooses which
+    robustness is assumed: inf is in favour of the expression, -inf is against it. A bound that is never defined counts
+    as not violated.
     """
 
     root: Node
@@ -44,35 +44,41 @@ class Evaluation:
 
     @classmethod
     def from_signals(cls, root: Node, signals: Signals, shared: Mapping[Leaf, LeafValues] | None = None) -> Evaluation:
-        """Evaluate the bounds and statements of an expression; values in `shared` are used again."""
+        """Evaluate the bounds and statements of an expression, except the ones that `shared` has already."""
         leaves = dict(shared or {})
         leaves |= {leaf: evaluate_leaf(leaf, signals) for leaf in iter_leaves(root) if leaf not in leaves}
         return cls(root, signals, leaves)
 
     def with_references(self, references: Mapping[str, bool | None]) -> Evaluation:
-        """Copy of the evaluation with other outcomes of the reference drivers."""
+        """Return a copy of the evaluation with other outcomes of the reference drivers.
+
+        `references` says for each driver whether it collides.
+        """
         others: dict[Leaf, LeafValues] = {
             leaf: values for leaf, values in self.leaves.items() if not isinstance(leaf, ReferenceCollides)
         }
         return Evaluation.from_signals(self.root, replace(self.signals, references=references), others)
 
     def robustness(self, assumed: float = np.inf) -> FloatArray:
-        """Robustness from each instant on, (T,), never NaN. `assumed` is the robustness of unobserved statements."""
+        """Return the robustness from each instant on, shape (T,), never NaN.
+
+        `assumed` is the robustness of statements whose truth the run does not show.
+        """
         return _Evaluator(self, "margin", assumed).of_run(self.root)
 
     def robustness_at_instants(self) -> FloatArray:
-        """Robustness at each instant by itself, (T,): no part has to hold for the rest of the run."""
+        """Return the robustness at each instant by itself, shape (T,): nothing has to hold for the rest of the run."""
         return _Evaluator(self, "margin", np.inf).at_instants(self.root, in_time=True)
 
     def holds(self, assumed: float = np.inf) -> BoolArray:
-        """Whether the expression holds from each instant on, (T,).
+        """Return whether the expression holds from each instant on, shape (T,).
 
-        Unlike robustness, this distinguishes ``<`` from ``<=``.
+        Unlike robustness, this distinguishes ``<`` from ``<=``. `assumed` is as in `robustness`.
         """
         return _Evaluator(self, "truth", assumed).of_run(self.root) > 0.0
 
     def is_fulfilled(self) -> bool | None:
-        """Whether the expression holds from the first instant on; None if the run does not show this."""
+        """Return whether the expression holds from the first instant on; None if the run does not show this."""
         if not self.holds()[0]:
             return False
         if any(isinstance(leaf, Bound) and not values.is_known for leaf, values in self.leaves.items()):
@@ -80,10 +86,11 @@ class Evaluation:
         return True if self.holds(-np.inf)[0] else None
 
     def shown_robustness(self) -> FloatArray:
-        """Robustness from each instant on, (T,); NaN at all of them if the run does not show whether it holds.
+        """Return the robustness from each instant on, shape (T,); all NaN if the run does not show the verdict.
 
-        That is so if only what is unknown could violate it, or if none of its parts is known and one is a bound. What
-        is unknown counts against the side that is decided.
+        The verdict (whether the expression holds from the first instant on) is not shown if only unknown parts could
+        violate the expression, or if no part is known and one part is a bound. Otherwise unknown parts count against
+        the verdict.
         """
         unknown = [leaf for leaf, values in self.leaves.items() if not values.is_known]
         if not unknown or not self.holds()[0]:
@@ -94,10 +101,11 @@ class Evaluation:
         return self.robustness(-np.inf)
 
     def find_decisive_leaf(self) -> tuple[Leaf, int] | None:
-        """Bound or statement, and instant, that decides the robustness at the first instant; None if that is infinite.
+        """Return the bound or statement, and the instant, that decide the robustness at the first instant.
 
-        Its margin equals the robustness. Other instants may have the same margin by chance; the result is the first
-        instant at which a change of the margin would change the robustness.
+        The margin there equals the robustness, except for the sign inside a ``not``. Other instants may have the same
+        margin by chance; the result is the first instant at which a change of the margin would change the robustness.
+        None if the robustness is infinite.
         """
         robustness = self.robustness()[0]
         if not np.isfinite(robustness):
@@ -148,8 +156,9 @@ def evaluate_run(
 ) -> dict[str, Evaluation]:
     """Evaluate an expression against each other entity in the recording; return the evaluations by entity name.
 
-    An expression that does not depend on the other entity is evaluated once. `courses` of known metrics are used if
-    there is a single other entity, or if they do not depend on it. So are `faults` of known collisions.
+    An expression that does not depend on the other entity is evaluated once. `courses` are courses of metrics that are
+    already computed; with several other entities, only courses of metrics of the ego alone are used. `references` says
+    for each reference driver whether it collides. `faults` are known results on whose fault a collision is.
     """
     named = (other,) if isinstance(other, str) else tuple(other)
     if len(named) > 1 and courses is not None:
@@ -170,7 +179,7 @@ def evaluate_run(
 
 
 def _is_of_run(leaf: Leaf) -> bool:
-    """Whether a bound or statement has the same value against each other entity."""
+    """Return whether a bound or statement has the same value against each other entity."""
     return not isinstance(leaf, Bound) or all(signal.is_score for signal in leaf.signals)
 
 
@@ -185,7 +194,10 @@ class _Evaluator:
         self.assumed = assumed
 
     def of_run(self, node: Node) -> FloatArray:
-        """Value of an expression from each instant on; without temporal operators, it has to hold until the end."""
+        """Return the value of an expression from each instant on, shape (T,).
+
+        An expression without temporal operators has to hold until the end.
+        """
         if has_temporal_operator(node):
             if isinstance(node, Operation) and node.operator == "and":
                 return np.asarray(np.minimum.reduce(list(map(self.of_run, node.operands))))
@@ -195,10 +207,10 @@ class _Evaluator:
     def at_instants(
         self, node: Node, negated: bool = False, undefined_value: float = np.inf, in_time: bool = False
     ) -> FloatArray:
-        """Value of a part of the expression, or of its negation, at each instant.
+        """Return the value of a part of the expression, or of its negation, at each instant, shape (T,).
 
-        `undefined_value` replaces the value of a bound where it is not defined. `in_time` says whether the part is
-        below a temporal operator: there, a statement is about each instant instead of the whole run.
+        `undefined_value` replaces the value of a bound at instants at which it is not defined. `in_time` says whether
+        the part is below a temporal operator: there, a statement is about each instant instead of the whole run.
         """
         if not isinstance(node, Operation):
             return self._leaf_values(node, negated, undefined_value, in_time)
@@ -236,12 +248,12 @@ class _Evaluator:
 
 
 def _operand_signs(node: Operation, negated: bool) -> list[bool]:
-    """For each operand of a logical operator, whether it is negated."""
+    """Return for each operand of a logical operator whether the operand is negated."""
     if node.operator in ("->", "unless"):
         return [not negated, negated]
     return [negated != (node.operator in ("not", "no"))] * len(node.operands)
 
 
 def _combination(node: Operation, negated: bool) -> np.ufunc:
-    """Function that combines the operands: minimum if all of them have to hold, else maximum."""
+    """Return the function that combines the operands: minimum if all of them have to hold, else maximum."""
     return np.minimum if (node.operator == "and") != negated else np.maximum

@@ -1,4 +1,4 @@
-"""Say in one sentence why an expression is fulfilled in a run, or not."""
+"""Explanation in one sentence why an expression is fulfilled in a run, or not."""
 
 from __future__ import annotations
 
@@ -44,7 +44,10 @@ class Reason(NamedTuple):
 
 
 def explain(evaluation: Evaluation, reference_texts: Mapping[str, str]) -> Reason:
-    """Explain why an expression is fulfilled or not; `reference_texts` describe reference drivers, by name."""
+    """Explain why an expression is fulfilled or not.
+
+    `reference_texts` maps the name of a reference driver to a sentence on whether this driver collides.
+    """
     root, fulfilled = evaluation.root, evaluation.is_fulfilled()
     bounds = {leaf: values for leaf, values in evaluation.leaves.items() if isinstance(leaf, Bound)}
     unobserved = [format_node(bound) for bound, values in bounds.items() if not values.is_known]
@@ -129,7 +132,7 @@ def _explain_collision(statement: EgoCollides, signals: Signals) -> Reason:
             return reason
         return reason._replace(text=f"{reason.text}: {_describe_fault(fault_of(collisions[0], signals), ego)}")
     if statement.at_fault and (harmless := find_collisions(replace(statement, at_fault=False), signals)):
-        # The first one that is undecided is the reason, if there is one.
+        # If the fault of a collision is undecided, this collision is the reason.
         first = min(harmless, key=lambda collision: fault_of(collision, signals).who != "undecided")
         text = f"{_format_entities(first, ego)} collide at {first.time:.6g} s"
         return Reason(f"{text}, but {_describe_fault(fault_of(first, signals), ego)}", first.time)

@@ -1,4 +1,4 @@
-"""Expressions over what a recording shows: formulas, requirements and conditions."""
+"""Logical expressions about a recording: formulas, requirements and conditions."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from cornercase.metrics.expressions._recorded_signals import Signals
 from cornercase.metrics.expressions._units import normalize_unit
 
 DEFAULT_CAP = 100.0
-"""Robustness that parts without a cap of their own are limited to."""
+"""Upper limit of the robustness of a part of an expression that has no cap of its own."""
 
 
 @dataclass(frozen=True)
@@ -70,10 +70,11 @@ class Expression:
         Parameters
         ----------
         text : str
-            Such as ``"always[0:5] (clearance > 0.5 or ego.speed < 1 km/h)"`` or ``"no collision and ttc > 1.5"``.
+            Expression, such as ``"no collision and ttc > 1.5"`` or
+            ``"always[0:5] (clearance > 0.5 or ego.speed < 1 km/h)"``.
         language : {"formula", "requirement", "condition"}, default "formula"
-            What it is used as, for messages. In a condition, a bound on a metric outside of temporal operators is on
-            its score: ``"ttc < 1"`` means ``"score(ttc) < 1"``.
+            Use of the expression; error messages name it. In a condition, a bound on a metric refers to the score of
+            the metric unless it is inside a temporal operator: ``"ttc < 1"`` means ``"score(ttc) < 1"``.
 
         Returns
         -------
@@ -121,16 +122,19 @@ class Expression:
 
     @property
     def unit(self) -> str:
-        """Unit of the robustness: that of all parts, or ``"1"`` if they have several.
+        """Unit of the robustness: the common unit of all parts, or ``"1"`` if their units differ.
 
-        Collisions, positions and distances are in m.
+        Statements on collisions, positions and distances are in m.
         """
         units = [unit for _, unit in self.compared_units]
         return units[0] if len(set(map(normalize_unit, units))) == 1 else "1"
 
     @property
     def compared_units(self) -> tuple[tuple[str, str], ...]:
-        """Metric and unit of each part that has a margin; the metric is empty if a part compares none."""
+        """Metric and unit of each bound or statement that has a margin, as pairs.
+
+        The metric is empty for a statement, and for a bound on a signal that is no metric.
+        """
         return tuple(
             (leaf.left.metric, leaf.left.unit) if isinstance(leaf, Bound) else ("", "m")
             for leaf in self.leaves
@@ -139,7 +143,7 @@ class Expression:
 
     @property
     def cap(self) -> float:
-        """Upper limit of the robustness: the largest of all parts.
+        """Upper limit of the robustness: the largest limit of any bound or statement.
 
         The limit of a bound on a metric is the distance of the bound from the metric's cap.
         """
@@ -152,19 +156,19 @@ class Expression:
 
     @property
     def has_margin(self) -> bool:
-        """Whether the robustness says how narrowly the expression is fulfilled.
+        """True if the robustness says how narrowly the expression is fulfilled.
 
-        It does not for a collision, which happens or not.
+        False if the expression has a statement on a collision, which happens or not.
         """
         return not any(isinstance(leaf, EgoCollides | ReferenceCollides) for leaf in self.leaves)
 
     @property
     def asks_for_fault(self) -> bool:
-        """Whether a statement is about whose fault a collision is."""
+        """True if a statement of the expression asks whose fault a collision is."""
         return any(isinstance(leaf, EgoCollides) and leaf.at_fault for leaf in self.leaves)
 
     def robustness(self, signals: Signals) -> FloatArray:
-        """Robustness from each instant on.
+        """Compute the robustness from each instant on.
 
         Parameters
         ----------
@@ -180,12 +184,12 @@ class Expression:
         Raises
         ------
         InputError
-            The expression has a statement on the recording, and the signals have none.
+            The expression has a statement on a recording, and `signals` has no recording.
         """
         return Evaluation.from_signals(self.root, signals).robustness()
 
     def is_fulfilled(self, signals: Signals) -> bool | None:
-        """Whether the expression holds from the first instant on, as requirements and conditions judge it.
+        """Return whether the expression holds from the first instant on.
 
         Parameters
         ----------
@@ -194,7 +198,8 @@ class Expression:
         Returns
         -------
         bool or None
-            None if it is not violated, but one of its bounds was never defined, or it depends on what was not observed.
+            False if the expression is violated. None if the expression is not violated, but one of its bounds was never
+            defined, or the answer depends on something that was not observed.
         """
         return Evaluation.from_signals(self.root, signals).is_fulfilled()
 
@@ -208,5 +213,5 @@ def _cap_of_leaf(leaf: Leaf) -> float:
 
 
 def formula_text(expression: Expression) -> str:
-    """Return the text of an expression as a formula; that of a condition leaves out that a bound is on a score."""
+    """Return the text of an expression as a formula, in which a bound on a score is written ``score(ttc) < 1``."""
     return format_node(expression.root)

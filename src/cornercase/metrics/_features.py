@@ -1,4 +1,4 @@
-"""Features of a recording: numbers that describe what happened in a run in more detail than its score."""
+"""Features of a recording: numbers that describe what happened in a run in more detail than the score."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _STRAIGHT: Final = 1e-3  # turn rate in rad/s up to which the ego drives straigh
 _TURN_STARTED: Final = 0.05  # change of heading in rad from which a turn has started
 _APPROACH: Final = 40.0  # distance of the centres in m from which the other approaches
 _MIN_BRAKING: Final = 0.1  # deceleration in m/s² up to which an entity does not brake
-_STRONG: Final = 0.9  # fraction of the strongest deceleration that counts as it
+_STRONG: Final = 0.9  # fraction of the strongest deceleration from which an entity counts as braking hardest
 
 
 @dataclass(frozen=True)
@@ -35,8 +35,8 @@ class Feature:
     unit : str
         ``"1"`` for none.
     branch : bool, default False
-        Whether its sign distinguishes two ways in which a scenario can develop, such as who goes first. Scores jump
-        between such branches, so searches sample where the branch is uncertain.
+        True if the sign of the feature distinguishes two ways in which a scenario can develop, such as who goes first.
+        Scores jump between these two branches, so searches sample scenarios whose branch is uncertain.
 
     Examples
     --------
@@ -51,7 +51,7 @@ class Feature:
 
 
 class FeatureGroup(ABC):
-    """Features of the ego and one other entity that are computed together.
+    """Group of features of the ego and one other entity that are computed together.
 
     A subclass sets its name, lists its features and defines `values`.
 
@@ -93,16 +93,18 @@ class FeatureGroup(ABC):
         Returns
         -------
         ndarray of float64, shape (f,)
-            Finite: if something never happens, a feature has a value that stands for that.
+            Values of the f features, all finite. If something never happens, its feature has a value that stands for
+            this.
         """
 
 
 # docs/metrics.md describes each feature, and its value if something never happens.
 class NearestApproach(FeatureGroup):
-    """State at the first instant at which the boxes are nearest to each other.
+    """State at the first instant at which the boxes of the ego and the other entity are nearest to each other.
 
-    ``nearest-ahead``, ``nearest-left``, ``nearest-cos`` and ``nearest-sin`` are in the ego's frame. ``nearest-way`` is
-    the distance that the ego has driven until then. If both entities never exist at the same time, the gap is 100 m.
+    ``nearest-ahead`` and ``nearest-left`` are the position of the other entity in the ego's frame. ``nearest-cos`` and
+    ``nearest-sin`` are cosine and sine of its heading in this frame. ``nearest-way`` is the distance that the ego has
+    driven until then. If both entities never exist at the same time, the gap is 100 m.
     """
 
     name = "nearest-approach"
@@ -146,10 +148,10 @@ class NearestApproach(FeatureGroup):
 
 
 class Approach(FeatureGroup):
-    """State at the first instant at which the centres are within 40 m; if they never are, when they are nearest.
+    """State at the first instant at which the centres are less than 40 m apart, else when they are nearest.
 
-    This is the state before an entity reacts, so it depends smoothly on the parameters. The consequences of the
-    reaction jump.
+    An entity has usually not reacted yet at this instant, so the state depends smoothly on the parameters of the
+    scenario. The consequences of a reaction can jump.
     """
 
     name = "approach"
@@ -167,9 +169,9 @@ class Approach(FeatureGroup):
 
 
 class EgoBraking(FeatureGroup):
-    """State when the ego first brakes with nine tenths of its strongest deceleration.
+    """State of the ego when it first brakes with nine tenths of its strongest deceleration.
 
-    If the ego never brakes, this is the state at the end.
+    If the ego never brakes, this is its state at the end.
     """
 
     name = "braking"
@@ -183,7 +185,10 @@ class EgoBraking(FeatureGroup):
 
 
 class OtherMotion(FeatureGroup):
-    """Highest speed of the other entity, and the distance driven until it brakes hardest; 0 if it never exists."""
+    """Highest speed of the other entity and its time, and the distance driven until the entity brakes hardest.
+
+    All are 0 if the other entity never exists.
+    """
 
     name = "other"
     features = (
@@ -206,10 +211,10 @@ class OtherMotion(FeatureGroup):
 
 
 class PathCrossing(FeatureGroup):
-    """Distance of both paths where they come nearest, and how much later than the other entity the ego is there.
+    """Distance between the nearest points of both paths, and how much later than the other the ego gets there.
 
-    If several points are equally near, the one counts that both entities pass with the least time between them. In this
-    comparison 1 s counts as much as 0.1 m.
+    The nearest points are the two points with the least sum of their distance in m and 0.1 times the time in s between
+    both entities. So the time decides between points that are equally near.
     """
 
     name = "crossing"
@@ -288,14 +293,17 @@ class WholeRecording(FeatureGroup):
 
 
 def _instant_of_strongest_braking(accelerations: FloatArray, instants: IntArray) -> int:
-    """First of `instants` at which an entity brakes at least 0.9 times its hardest; the last if it never brakes."""
+    """Return the first of `instants` at which an entity brakes with at least 0.9 times its strongest deceleration.
+
+    If the entity never brakes, return the last of `instants`.
+    """
     braking = np.nan_to_num(-accelerations[instants])
     strongest = float(braking.max())
     return int(instants[np.argmax(braking >= _STRONG * strongest) if strongest > _MIN_BRAKING else -1])
 
 
 def _angles_between(headings: FloatArray, others: FloatArray | float) -> FloatArray:
-    """Smallest angles between pairs of headings."""
+    """Return the smallest angles between pairs of headings in rad."""
     angle = np.abs(headings - others)
     return np.asarray(np.minimum(angle, np.abs(2.0 * np.pi - angle)))
 
@@ -317,12 +325,12 @@ for _group in (
 
 
 def registered_features() -> tuple[Feature, ...]:
-    """All registered features.
+    """Return all registered features.
 
     Returns
     -------
     tuple of Feature
-        Groups in alphabetical order; the features of a group in its own order.
+        Features by group. Groups are in alphabetical order, and features as their group lists them.
 
     Examples
     --------
@@ -343,13 +351,13 @@ def compute_features(recordings: Iterable[Recording | None], ego: str, other: st
     ego : str
         Name of an entity.
     other : str or sequence of str
-        Names of one or several other entities. If there are several, the features are about the one that the ego
-        collides with first. Without a collision, they are about the one whose box comes nearest to the ego's.
+        Names of one or several other entities. If there are several, the features are about the entity that the ego
+        collides with first. Without a collision, they are about the entity whose box comes nearest to the ego's.
 
     Returns
     -------
     ndarray of float64, shape (n, f)
-        The `registered_features` of each recording, in their order; NaN for a scenario that failed.
+        A row of f `registered_features` for each of n recordings; NaN for a scenario that failed.
 
     Raises
     ------
@@ -381,7 +389,7 @@ def _create_feature_groups() -> list[FeatureGroup]:
 
 @cache
 def _create_group(name: str, _factory: Callable[..., FeatureGroup]) -> FeatureGroup:
-    """Create a group once: that takes as long as its features of a recording."""
+    """Create a group once, since creating it takes as long as computing its features of one recording."""
     return FEATURES.create(name)
 
 

@@ -12,7 +12,7 @@ from cornercase.recordings import Recording
 
 
 class GapTime(Metric):
-    """Difference of the times at which both reach the crossing of their tracks at their present speeds.
+    """Difference of the times at which both entities reach the crossing of their tracks at present speeds.
 
     ``|d / v - d_other / v_other|`` in s. d and d_other are the distances of the centres to the crossing, as in
     `TrajectoryDistance`. The value is 0 if both arrive together, and inf if at least one of them stands. Not defined if
@@ -25,7 +25,7 @@ class GapTime(Metric):
     Parameters
     ----------
     ahead : float, default 100.0
-        How far each track goes straight on after the recording, in m.
+        Length in m by which each track goes straight on after the recording.
 
     Examples
     --------
@@ -54,11 +54,11 @@ class GapTime(Metric):
 
 
 class SquaredGapTime(GapTime):
-    """Difference of the squared times at which both reach the crossing of their tracks.
+    """Difference of the squared times at which both entities reach the crossing of their tracks.
 
-    ``|t² - t_other²|`` in s²: the gap time multiplied by the sum of both arrival times. So the same gap time is more
-    critical if both arrive sooner. Arrival times, special values and undefined cases are those of `GapTime`. Least
-    critical value (cap): 100 s².
+    ``|t² - t_other²|`` in s², with the times t and t_other until the ego and the other entity reach the crossing. This
+    is the gap time multiplied by the sum of both times, so the same gap time is more critical if both arrive sooner.
+    Times, special values and undefined cases are the same as for `GapTime`. Least critical value (cap): 100 s².
 
     Source: squared predicted relative encroachment time, as in Westhofen et al. 2023.
 

@@ -52,7 +52,8 @@ class Thw(Metric):
     Parameters
     ----------
     accelerating : bool, default False
-        Let the ego keep its present acceleration until it stands. The value is inf if it stops before it gets there.
+        Let the ego keep its present acceleration until it stands. The value is inf if the ego stops before it has
+        closed the gap.
 
     Examples
     --------
@@ -80,11 +81,11 @@ class Thw(Metric):
 
 
 class Pttc(Metric):
-    """Potential time to collision: the entity ahead keeps its acceleration until it stands, the ego its speed.
+    """Potential time to collision: the entity ahead keeps its acceleration until it stands, the ego keeps its speed.
 
     The smallest t >= 0 in s with ``gap = (v - v_other) t - a_other t² / 2``. An entity that brakes stays where it
     stops. The value is 0 if the boxes touch, and inf if the ego never reaches the other entity. If the other entity
-    drives at constant speed, the value is the time to collision; if it stands, it is an obstacle. Not defined if the
+    drives at constant speed, the value is the time to collision. A standing entity is an obstacle. Not defined if the
     other entity is not ahead of the ego, or one of the two does not exist. Least critical value (cap): 10 s.
 
     Source: H. Wakabayashi et al., "Traffic conflict analysis using vehicle tracking system/digital VCR and proposal of

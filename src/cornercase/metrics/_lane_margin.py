@@ -1,4 +1,4 @@
-"""Distance of the ego from the edge of its lane, or of the road."""
+"""Metric of the distance of the ego from the edge of its lane, or from the edge of the road."""
 
 from __future__ import annotations
 
@@ -20,9 +20,10 @@ _EDGES = ("lane", "road")
 class LaneMargin(Metric):
     """Distance in m from the outermost corner of the ego's box to the edge of its lane; negative beyond it.
 
-    The lane is the drivable one in which the centre of the box is; in junctions, where lanes overlap, that in which it
-    is best. The other entity plays no part. Not defined without the roads, or if the ego does not exist. A recording
-    of a run knows its roads; for one from a file, name them with ``roads``. Least critical value (cap): 2 m; most
+    The lane is the drivable lane below the centre of the box, preferably with traffic in the ego's direction. If lanes
+    overlap, as in junctions, the lane with the largest distance counts; without a lane, the nearest. The other entity
+    does not matter. Not defined if the roads are unknown, or if the ego does not exist. Recordings of simulated runs
+    know their roads; for a recording from a file, give the roads with ``roads``. Least critical value (cap): 2 m; most
     critical value: -10 m.
 
     Source: distance to the lane boundary, as for lane departure warning in ISO 17361:2017.
@@ -30,14 +31,14 @@ class LaneMargin(Metric):
     Parameters
     ----------
     edge : {"lane", "road"}, default "lane"
-        The edge of its lane, or that of all drivable lanes side by side.
+        Edge of the ego's lane, or outer edge of all drivable lanes side by side.
     roads : str, optional
-        OpenDRIVE file; by default that of the scenario.
+        OpenDRIVE file; by default the file of the scenario.
 
     Raises
     ------
     InputError
-        `edge` is neither of them, or the file cannot be read.
+        `edge` is neither ``"lane"`` nor ``"road"``, or the file cannot be read.
 
     Examples
     --------

@@ -28,20 +28,21 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Measurement:
-    """Metrics of a recording. Each mapping has the names of the metrics as keys.
+    """Courses and scores of metrics on a recording. Each mapping has the names of the metrics as keys.
 
     Attributes
     ----------
     time : ndarray of float64, shape (T,)
-        s.
+        Times of the T instants in s.
     courses : mapping of str to ndarray of float64, shape (T,)
-        NaN where a metric is not defined.
+        Values at the instants; NaN at instants at which a metric is not defined.
     scores : mapping of str to float
     units : mapping of str to str
-        Of courses and scores; ``"1"`` for none.
+        Units of courses and scores; ``"1"`` for metrics without unit.
     lower_is_critical : mapping of str to bool
     against : mapping of str to (str or None)
-        Entity that each score comes from, as in `MetricResult`; empty if there is only one other entity.
+        Other entity that each score comes from. None if the score is the cap, or if all entities give the same result.
+        Empty if there is only one other entity.
 
     Examples
     --------
@@ -62,7 +63,7 @@ class Measurement:
     against: Mapping[str, str | None] = field(default_factory=dict)
 
     def column_names(self) -> tuple[str, ...]:
-        """Column names of `rows`.
+        """Return the names of the columns of `rows`.
 
         Returns
         -------
@@ -71,7 +72,7 @@ class Measurement:
         return ("metric", "score", "unit", "critical is", *(["against"] if self.against else []))
 
     def rows(self) -> list[tuple[str, ...]]:
-        """One row per metric: name, score, unit, and whether low or high is critical.
+        """Return one row per metric: name, score, unit, and whether low or high is critical.
 
         With several other entities, a last column names the entity that the score comes from.
 
@@ -87,7 +88,7 @@ class Measurement:
         return [(*row, self.against[row[0]] or "–") for row in plain] if self.against else list(plain)
 
     def to_dataframe(self) -> pd.DataFrame:
-        """Courses as a table.
+        """Return the courses as a table.
 
         Returns
         -------
@@ -123,7 +124,8 @@ def measure(
     ego : str
         Name of the entity under test.
     other : str or sequence of str
-        Entities to measure against. Of several, each metric takes the most critical value. ``"*"`` means all others.
+        Entities to measure against; ``"*"`` stands for all but the ego. With several entities, each metric takes the
+        most critical value.
     metrics : Metric or str, or sequence of these, optional
         By name, with options after a colon, as in ``"ttc:accelerating=true"``, or as objects, also of your own class.
         By default all registered metrics that need no option.
@@ -179,10 +181,10 @@ def measure(
 
 
 class MetricResult(NamedTuple):
-    """Course and score of a metric; with several other entities, the most critical of them.
+    """Course and score of a metric; with several other entities, the most critical values.
 
-    `against` is the name of the entity that the score comes from, the first one if tied. It is None if there is only
-    one other entity, if the score is the cap, or if all entities give the same result.
+    `against` is the name of the other entity that the score comes from, the first one if several give this score. It is
+    None if there is only one other entity, if the score is the cap, or if all entities give the same result.
     """
 
     course: FloatArray
@@ -195,8 +197,8 @@ def evaluate_metrics(
 ) -> dict[str, MetricResult]:
     """Evaluate metrics on a recording; return the results by name of the metric.
 
-    Other entities that never exist in the recording are skipped. Contacts count as in `Metric.score_with_contact`.
-    Raises PluginError if a metric raises an exception or returns no numbers.
+    Other entities that never exist in the recording are skipped. Scores of contacts are adapted by
+    `Metric.score_with_contact`. Raises PluginError if a metric raises an exception or returns no numbers.
     """
     named = (other,) if isinstance(other, str) else tuple(other)
     others = present_others(recording, named)
@@ -221,7 +223,7 @@ def _evaluate_against(
 
 
 def compute_course_and_score(metric: Metric, recording: Recording, ego: str, other: str) -> tuple[FloatArray, float]:
-    """Course and score of a metric; both are checked, since the metric may be third-party code."""
+    """Compute course and score of a metric, and check both, since the metric may be third-party code."""
     part, interrupts = f"the metric {metric.name}", count_requests()
     try:
         course = metric.course(recording if is_built_in(metric) else read_only(recording), ego, other)

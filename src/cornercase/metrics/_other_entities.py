@@ -1,4 +1,4 @@
-"""Which entities an ego is measured against."""
+"""Selection of the entities that an ego is measured against."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from cornercase.metrics._geometry.encounter import Encounter
 from cornercase.recordings import Recording
 
 ALL_OTHERS: Final = "*"
-"""Stands for all entities but the ego."""
+"""Name that stands for all entities but the ego."""
 
 
 def resolve_others(other: object, ego: str, entity_names: Sequence[str]) -> tuple[str, ...]:
-    """Resolve `other` to the names of one or several entities, without repetition; InputError if that is impossible.
+    """Return the names of the entities that `other` stands for, each once; InputError if `other` is invalid.
 
     ``"*"`` stands for all of `entity_names` but the ego. Other names need not be in `entity_names`.
 
@@ -53,7 +53,10 @@ def present_others(recording: Recording, others: Sequence[str]) -> tuple[str, ..
 
 
 def nearest_other(recording: Recording, ego: str, other: str | Sequence[str]) -> str:
-    """Return the entity that the ego collides with first; without a collision, the one with the smallest gap."""
+    """Return the entity among `other` that the ego collides with first.
+
+    Without a collision, return the entity whose box comes nearest to the ego's box.
+    """
     others = present_others(recording, (other,) if isinstance(other, str) else other)
     if len(others) == 1:
         return others[0]

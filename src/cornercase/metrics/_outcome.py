@@ -1,4 +1,4 @@
-"""Ending of a scenario for the ego as plain values."""
+"""Plain values that describe how a scenario ended for the ego."""
 
 from __future__ import annotations
 
@@ -20,10 +20,11 @@ Conflict = Literal[
 
 @dataclass(frozen=True)
 class Fault:
-    """Whose fault a collision of the ego is.
+    """Verdict on whose fault a collision of the ego is.
 
-    `who` is ``"undecided"`` if motion and roads do not show it. `sides` are those of the ego's and the other's box that
-    are hit, and `point` is where they touch in m; None if that is unknown. `reasons` are sentences without full stop.
+    `who` is ``"undecided"`` if motion and roads do not show it. `sides` are the sides of the ego's box and of the
+    other's box that are hit. `point` is the point in m at which the boxes touch. Sides and point are None if they are
+    unknown. `reasons` are sentences without full stop.
     """
 
     who: Culprit
@@ -33,17 +34,18 @@ class Fault:
     reasons: tuple[str, ...]
 
     def describe(self, ego: str, other: str) -> str:
-        """Say in a few words whose fault it is, as ``"C at fault"``."""
+        """Describe in a few words whose fault the collision is: ``"Ego at fault"``, ``"fault undecided"``."""
         subjects = {"ego": quote_name(ego), "other": quote_name(other), "both": "both"}
         return f"{subjects[self.who]} at fault" if self.who in subjects else "fault undecided"
 
 
 @dataclass(frozen=True)
 class Impact:
-    """A collision of the ego; `time` in s, `speed` is the magnitude of the relative velocity at first contact in m/s.
+    """Collision of the ego with `entity`, at `time` in s.
 
-    `manner` is ``"from behind"`` if the ego hits an entity ahead that moves in the same direction, ``"its rear"`` if
-    such an entity hits the ego, ``"while it stands"`` if a standing ego is hit. `fault` is None in studies of early
+    `speed` is the magnitude of the relative velocity at first contact in m/s. `manner` is ``"from behind"`` if the ego
+    hits an entity ahead that moves in the same direction. It is ``"its rear"`` if an entity behind that moves in the
+    same direction hits the ego, and ``"while it stands"`` if the ego stands. `fault` is None in studies of early
     versions.
     """
 
@@ -55,7 +57,11 @@ class Impact:
 
     @property
     def shown_manner(self) -> Manner:
-        """The manner, but ``"otherwise"`` if two move alike and not the front of one hits the rear of the other."""
+        """The manner as it is shown.
+
+        For two entities that move in the same direction, this is ``"otherwise"`` unless the front of one hits the rear
+        of the other.
+        """
         sides = {"from behind": ("front", "rear"), "its rear": ("rear", "front")}.get(self.manner)
         if sides is None or self.fault is None or None in self.fault.sides or self.fault.sides == sides:
             return self.manner
@@ -64,14 +70,20 @@ class Impact:
 
 @dataclass(frozen=True)
 class PathRelation:
-    """How the paths of the ego and another entity meet; times in s.
+    """Relation of the paths of the ego and another entity; times in s.
 
-    `relation` is ``"lane"`` if both move in the same direction at the beginning and at the end, in one lane or in
-    adjacent ones; ``"crossing"`` if the areas swept by their boxes overlap, or would if both went straight on for 20 m
-    after the end; ``"absent"`` if one of them never exists. `first` enters the overlap first; in a lane it is ahead at
-    the end, and `ahead` at the beginning. `enters` is when the ego enters the overlap, `leaves` when the other leaves
-    it; NaN if that did not happen, and in a lane. `gap` is the time from the first leaving to the second entering,
-    negative if both were in it at once; NaN if only one came.
+    `relation` is one of these:
+
+    - ``"lane"``: both move in the same direction at the beginning and at the end, in one lane or in adjacent lanes.
+    - ``"crossing"``: the areas that both boxes sweep overlap, or would overlap if both went straight on for 20 m after
+      the end.
+    - ``"apart"``: neither of the two.
+    - ``"absent"``: an entity never exists.
+
+    `first` is the entity that enters the overlap first. In a lane, `first` is ahead at the end, and `ahead` is ahead at
+    the beginning. `enters` is when the ego enters the overlap, `leaves` is when the other entity leaves the overlap;
+    NaN if this did not happen, and in a lane. `gap` is the time from the first entity leaving to the second entity
+    entering. It is negative if both were in the overlap at once, and NaN if only one entity came.
     """
 
     entity: str
@@ -85,13 +97,16 @@ class PathRelation:
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a scenario ended for the ego.
+    """Ending of a scenario for the ego.
 
-    `encounter` is with the main other entity of the study, `others` are with further entities that moved, not
-    extrapolated after the end. `impacts` are the ego's collisions by time, `other_collisions` those that do not involve
-    it. `stops`: it comes to stand after it moved. If the other is first on a crossing, `waits`: the ego stands before
-    it enters and before the other has left; `yields`: it does, or slows down by a fifth and speeds up again by a
-    quarter before it enters.
+    `encounter` is the relation to the main other entity of the study, `others` are the relations to further entities
+    that moved, not extrapolated after the end. `impacts` are the ego's collisions by time, `other_collisions` are
+    collisions without the ego. `exists` and `moves` say whether the ego ever does. `stops` says whether the ego comes
+    to stand after it moved.
+
+    `waits` and `yields` can be True only if the other entity is first on a crossing. The ego waits if it stands before
+    it enters and before the other entity has left. It yields if it waits, or if it slows down by a fifth and speeds up
+    again by a quarter before it enters.
     """
 
     ego: str
@@ -107,24 +122,27 @@ class Outcome:
 
     @property
     def first(self) -> str | None:
-        """Who is first where the paths cross, or ahead in a lane."""
+        """Entity that is first where the paths cross, or ahead in a lane; None if the paths do not meet."""
         return self.encounter.first
 
     @property
     def collision(self) -> str | None:
-        """The entity that the ego collides with first; if there is none, the others that collide."""
+        """Name of the entity that the ego collides with first; None if nothing collides.
+
+        If only other entities collide, these are their names, joined by "and".
+        """
         if self.impacts:
             return self.impacts[0].entity
         return " and ".join(self.other_collisions[0].entities) if self.other_collisions else None
 
     @property
     def fault(self) -> Fault | None:
-        """Whose fault the ego's first collision is; None without a collision, and in studies of early versions."""
+        """Verdict on the ego's first collision; None without a collision, and in studies of early versions."""
         return self.impacts[0].fault if self.impacts else None
 
     @property
     def text(self) -> str:
-        """The ending in words, as ``"Ego and Pedestrian collide"`` or ``"Pedestrian first"``."""
+        """Ending in words, as ``"Ego and Pedestrian collide"`` or ``"Pedestrian first"``."""
         encounter, ego, other = self.encounter, quote_name(self.ego), quote_name(self.encounter.entity)
         if self.impacts:
             return f"{ego} and {quote_name(self.impacts[0].entity)} collide"

@@ -1,4 +1,4 @@
-"""Metrics of a user's own class: given as objects, and read from a study without their code."""
+"""Metrics of a user's own class: given as objects, and read from a study without the code of the class."""
 
 from __future__ import annotations
 
@@ -25,9 +25,10 @@ _ATTRIBUTES: Final = ("unit", "lower_is_critical", *_NUMBERS, "severity")
 
 
 class StoredMetric(Metric):
-    """A metric without its code, made from its description in a study: enough to read its courses and scores.
+    """A metric without its code, made from its description in a study.
 
-    Raises `InputError` if the description is incomplete.
+    This is enough to read the courses and scores in the study, but not to compute new ones. Raises `InputError` if the
+    description is incomplete.
     """
 
     def __init__(self, name: str, description: Mapping[str, Any]) -> None:
@@ -37,11 +38,11 @@ class StoredMetric(Metric):
         _check_attributes(self)
 
     def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
-        """Raise `InputError`: the class is needed."""
+        """Raise `InputError`, since computing a course needs the class of the metric."""
         raise self.missing_code()
 
     def missing_code(self) -> InputError:
-        """Return the error for a metric that is needed to run scenarios."""
+        """Return the error that asks for the metric as an object, since scenarios cannot be run without its class."""
         class_name = escape_control_characters(str(self.description.get("class", "unknown")))[:100]
         return InputError(
             f"The metric '{self.name}' is of the class {class_name}; code that a study names is not run, so give the"
@@ -51,7 +52,10 @@ class StoredMetric(Metric):
 
 
 def describe_own_metric(metric: Metric) -> dict[str, Any] | None:
-    """Return what a study has to store to be read without the class of a metric; None for a class of cornercase."""
+    """Return the attributes that a study stores, so that it can be read without the class of a metric.
+
+    None for a metric of cornercase itself.
+    """
     if isinstance(metric, StoredMetric):
         return metric.description
     if is_built_in(metric):
@@ -64,7 +68,7 @@ def describe_own_metric(metric: Metric) -> dict[str, Any] | None:
 def resolve_metric(metric: object, parameter: str = "metrics") -> Metric:
     """Create the metric that a text names, or check a metric object and return it itself.
 
-    `parameter` is its name in messages. Raises `InputError` if the object cannot be used.
+    `parameter` is the name of the parameter in error messages. Raises `InputError` if `metric` cannot be used.
     """
     resolved = METRICS.create(metric) if isinstance(metric, str) and metric else metric
     if not isinstance(resolved, Metric):
@@ -78,23 +82,29 @@ def resolve_metric(metric: object, parameter: str = "metrics") -> Metric:
 
 
 def as_items(metrics: Any) -> tuple[Any, ...]:
-    """Return the items of an argument that is one metric or several."""
+    """Return the metrics in an argument that is one metric or an iterable of metrics, as a tuple."""
     is_several = isinstance(metrics, Iterable) and not isinstance(metrics, str | bytes | Mapping)
     return tuple(metrics) if is_several else (metrics,)
 
 
 def resolve_metrics(metrics: object, parameter: str = "metrics") -> list[Metric]:
-    """Return the metrics of one text or object, or a sequence of these; each once. `InputError` as `resolve_metric`."""
+    """Return the metrics that are given by one text or object, or by a sequence of texts and objects, each once.
+
+    Raises `InputError` if a metric cannot be used, or if two different metrics have the same name.
+    """
     by_name: dict[str, Metric] = {}
     for item in as_items(metrics):
         metric = resolve_metric(item, parameter)
         if by_name.setdefault(metric.name, metric) != metric:
-            raise InputError(f"`{parameter}`: two different metrics have the name '{metric.name}'; give one another.")
+            raise InputError(f"`{parameter}`: two different metrics have the name '{metric.name}'; rename one of them.")
     return list(by_name.values())
 
 
 def name_or_own_metric(metric: object) -> str | Metric:
-    """Return the text of a metric of cornercase; any other object itself. `InputError` unless it is a metric."""
+    """Return a metric of cornercase as text, and a metric of a user's own class as object.
+
+    Raises `InputError` if an object is no metric. A text is returned unchecked.
+    """
     if isinstance(metric, str):
         return metric
     resolved = resolve_metric(metric)

@@ -14,12 +14,12 @@ class Pet(Metric):
     """Time between one entity leaving the conflict area and the other entering it, as recorded.
 
     ``t_in(second) - t_out(first)`` in s. The conflict area is the overlap of the areas that both bounding boxes sweep
-    in the whole recording, on tracks of any shape. Each connected stretch of the tracks on which the boxes would meet,
-    regardless of time, has its own area; the smallest value counts. An entity is in the area while its box touches the
-    area. Between two instants the corners go straight and the speed changes linearly.
+    in the whole recording, on tracks of any shape. Each connected stretch of the tracks on which the boxes would touch,
+    regardless of time, has its own conflict area, and the smallest value counts. An entity is in the area while its box
+    touches the area. Between two instants the corners go straight and the speed changes linearly.
 
-    The value is known only afterwards and belongs to the recording as a whole: the course has this value at all
-    instants.
+    The value is known only after the recording and belongs to the recording as a whole: the course has this value at
+    all instants.
 
     The value is not defined (NaN at all instants) if there is no conflict area, if the first entity never leaves the
     area, or if the second enters before the first has left. So it is not defined in a collision; a recording in which
@@ -36,10 +36,10 @@ class Pet(Metric):
         Rectangle to use as the conflict area, such as the shared part of two lanes: x and y of its centre in m, heading
         in rad, length and width in m.
     signed : bool, default False
-        If both were in the area at once, give the (negative) time by which the second came too early instead of NaN. An
-        entity that has not left counts as leaving when its recording ends.
+        If both were in the area at once, give the (negative) time by which the second came too early, instead of NaN.
+        An entity that has not left counts as leaving at the end of the recording.
     severity : bool, default False
-        Score collisions below 0, by how hard they are (`Metric.score_with_contact`).
+        Score collisions below 0, harder ones lower (`Metric.score_with_contact`).
 
     Examples
     --------
@@ -80,13 +80,14 @@ class Pet(Metric):
 
 
 class EncroachmentTime(Metric):
-    """How long the ego is in the conflict area, as recorded.
+    """Time that the ego spends in the conflict area, as recorded.
 
-    ``t_out - t_in`` in s for the conflict area of `Pet`. If there are several areas or visits, the longest visit
-    counts. The area depends on where the other entity goes, not on when. The value is known only afterwards, so the
-    course has it at all instants. It is inf if the ego comes to a stop in the area. It is not defined (NaN at all
-    instants) if there is no conflict area, or if the recording ends while the ego drives through it. Least critical
-    value (cap): 0. Most critical value: 60 s, which is also the score of a recording in which both touch.
+    ``t_out - t_in`` in s. The conflict area is the overlap of the areas that both bounding boxes sweep in the whole
+    recording, as in `Pet`. It depends on where the other entity goes, not on when. If there are several areas or
+    visits, the longest visit counts. The value is known only after the recording, so the course has it at all instants.
+    The value is inf if the ego comes to a stop in the area. It is not defined (NaN at all instants) if there is no
+    conflict area, or if the recording ends while the ego drives through the area. Least critical value (cap): 0. Most
+    critical value: 60 s, which is also the score of a recording in which both touch.
 
     Source: B. L. Allen, B. T. Shin, P. J. Cooper, "Analysis of traffic conflicts and collisions", Transportation
     Research Record 667 (1978).

@@ -1,4 +1,4 @@
-"""Roads of recordings, read once."""
+"""Reading of the roads of recordings, each file once."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from cornercase.roads._network import RoadNetwork
 
 
 def read_recorded_roads(path: Path) -> RoadNetwork:
-    """Read the roads of a recording; a file that did not change is read once."""
+    """Read the roads of a recording from an OpenDRIVE file; a file that did not change is read only once."""
     try:
         changed = path.stat().st_mtime_ns
     except OSError:

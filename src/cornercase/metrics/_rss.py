@@ -1,4 +1,4 @@
-"""Responsibility-sensitive safety (RSS)."""
+"""Metric of responsibility-sensitive safety (RSS), and its least safe gaps."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ Term = Literal["both", "longitudinal", "lateral"]
 
 
 class Rss(Metric):
-    """Distance by which the ego keeps, or violates, the minimum of responsibility-sensitive safety.
+    """Distance by which the ego keeps, or violates, the minimum gap of responsibility-sensitive safety.
 
     The gap between the boxes, along and across the ego's heading, is compared with the minimum that lets both entities
     react and brake. The surplus is the gap less this minimum. If the lateral minimum is violated, the value in m is the
     longitudinal surplus, otherwise the larger surplus. So the value is below 0 exactly in a dangerous situation, in
     which both minima are violated. Lower is more critical.
 
-    If both go the same way, the rear one, with speed v_r, needs
+    If both go in the same direction, with speeds v_r of the rear and v_f of the front entity, the rear one needs
 
         [v_r ρ + a ρ²/2 + (v_r + ρ a)² / (2 b_min) - v_f² / (2 b_max)]₊.
 
     If they come towards each other, each needs the distance that it travels in the response time ρ and until it stands.
     Here the ego brakes with ``correct_braking`` and the other entity with ``min_braking``. Two standing entities need
-    the distance of accelerating for ρ. Across the heading, both drift towards each other for ρ and then brake. Not
-    defined if one of the two does not exist. Least critical value (cap): 100 m. Most critical value: -500 m, which is
-    also the score of a recording in which both touch.
+    the distance in which one of them accelerates for ρ and then brakes. Across the heading, both drift towards each
+    other for ρ and then brake. Not defined if one of the two does not exist. Least critical value (cap): 100 m. Most
+    critical value: -500 m, which is also the score of a recording in which both touch.
 
     Source: S. Shalev-Shwartz, S. Shammah, A. Shashua, "On a formal model of safe and scalable self-driving cars",
     arXiv:1708.06374, definitions 1, 2, 6 and 8, in the frame of the ego instead of the lane.
@@ -45,20 +45,20 @@ class Rss(Metric):
     acceleration : float, default 3.5
         Greatest acceleration a during the response, in m/s².
     min_braking, max_braking : float, default 4.0 and 8.0
-        Least deceleration of a rear vehicle and greatest of a front one, in m/s².
+        Least deceleration b_min of a rear vehicle and greatest deceleration b_max of a front vehicle, in m/s².
     correct_braking : float, default 3.0
-        Least deceleration of a vehicle on its own side that meets an oncoming one, in m/s².
+        Least deceleration of a vehicle on its own side that meets an oncoming vehicle, in m/s².
     lateral_acceleration, lateral_braking : float, default 0.2 and 0.8
-        As above, across the heading, in m/s².
+        Greatest acceleration during the response, and least deceleration afterwards, across the heading in m/s².
     lateral_margin : float, default 0.1
-        Margin for lateral fluctuation μ, in m.
+        Margin μ for lateral fluctuations, in m.
     term : {"both", "longitudinal", "lateral"}, default "both"
-        Which surplus to give.
+        Surplus that is the value.
 
     Raises
     ------
     InputError
-        An option is negative or not finite, or there is no such term.
+        A number is negative or not finite, a deceleration is 0, or `term` is none of the three.
 
     Examples
     --------
@@ -115,7 +115,7 @@ class Rss(Metric):
     def _longitudinal_surplus(self, recording: Recording, ego: str, other: str, axis: FloatArray) -> FloatArray:
         gap, ahead = _projected_gap(recording, ego, other, axis)
         ego_speed, other_speed = ((velocity_vectors(recording, name) * axis).sum(-1) for name in (ego, other))
-        # Speeds in the direction from the ego to the other.
+        # Speeds are positive in the direction from the ego to the other.
         ego_speed, other_speed = np.where(ahead, ego_speed, -ego_speed), np.where(ahead, other_speed, -other_speed)
         rear = min_longitudinal_gap(
             np.maximum(ego_speed, 0.0),
@@ -158,7 +158,7 @@ class Rss(Metric):
 def _projected_gap(
     recording: Recording, ego: str, other: str, axis: FloatArray
 ) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
-    """Gap between the boxes along `axis`, and whether the other entity lies in the positive direction of it.
+    """Return the gap between the boxes along `axis`, and whether the other entity lies in the direction of `axis`.
 
     The gap is negative if the projections of the boxes on the axis overlap.
     """
@@ -175,7 +175,7 @@ def min_longitudinal_gap(
     min_braking: float,
     max_braking: float,
 ) -> FloatArray:
-    """Least safe gap in m if both go the same way (definition 1).
+    """Return the least safe gap in m if both go in the same direction (definition 1 of RSS).
 
     Speeds are in m/s; a negative speed of the front entity counts as 0.
     """
@@ -194,10 +194,10 @@ def min_oncoming_gap(
     correct_braking: float,
     min_braking: float,
 ) -> FloatArray:
-    """Least safe gap in m if both come towards each other (definition 2).
+    """Return the least safe gap in m if both come towards each other (definition 2 of RSS).
 
-    `correct_side_speed` is the speed of the vehicle on its own side, `wrong_side_speed` that of the other vehicle. Both
-    are the speeds towards each other in m/s.
+    `correct_side_speed` is the speed of the vehicle on its own side of the road, `wrong_side_speed` is the speed of the
+    other vehicle. Both are the speeds towards each other in m/s.
     """
     distance = np.zeros_like(correct_side_speed)
     for speed, braking in ((correct_side_speed, correct_braking), (wrong_side_speed, min_braking)):
@@ -214,9 +214,10 @@ def min_lateral_gap(
     braking: float,
     margin: float,
 ) -> FloatArray:
-    """Least safe lateral gap in m (definition 6): both drift towards each other during the response, then brake.
+    """Return the least safe lateral gap in m (definition 6 of RSS).
 
-    `ego_speed` and `other_speed` are the lateral speeds towards each other in m/s. The gap is at least `margin`.
+    Both drift towards each other during the response, then brake. `ego_speed` and `other_speed` are the lateral speeds
+    towards each other in m/s. The gap is at least `margin`.
     """
     distance = np.zeros_like(ego_speed)
     for speed in (ego_speed, other_speed):

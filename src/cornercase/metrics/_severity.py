@@ -1,4 +1,4 @@
-"""Severity of a collision that happened or is predicted."""
+"""Metrics of the severity of a collision that happened or is predicted."""
 
 from __future__ import annotations
 
@@ -41,9 +41,10 @@ _TIME_TOLERANCE = 1e-9  # s
 class DeltaV(Metric):
     """Change of the ego's velocity in a collision in which both stick together (plastic impact).
 
-    ``m_other / (m + m_other) |v_other - v|`` in m/s, with the velocities as vectors at the first instant at which the
-    boxes touch. The course keeps this value while they touch, and is not defined otherwise. So a recording without a
-    collision scores the cap. A contact without motion gives 0. Least critical value (cap): 0 m/s.
+    ``m_other / (m + m_other) |v_other - v|`` in m/s, with the masses m of the ego and m_other of the other entity, and
+    with the velocities v and v_other as vectors at the first instant at which the boxes touch. The course keeps this
+    value while the boxes touch, and is not defined otherwise. So a recording without a collision scores the cap. A
+    contact without motion gives 0. Least critical value (cap): 0 m/s.
 
     Source: S. G. Shelby, "Delta-V as a measure of traffic conflict severity", 3rd International Conference on Road
     Safety and Simulation (2011), with the velocities as vectors.
@@ -51,9 +52,10 @@ class DeltaV(Metric):
     Parameters
     ----------
     masses : mapping of str to float, optional
-        Masses in kg by the entity's name or type; else those of `MASSES`, and 1,500 kg for other types.
+        Masses in kg by name or type of the entity. By default, a typical mass of the type, such as 75 kg for a
+        pedestrian, and 1,500 kg for a car or an unknown type.
     predicted : bool, default False
-        Give the value of a collision with the present velocities, at each instant.
+        Give at each instant the value that a collision with the present velocities would have.
 
     Examples
     --------
@@ -86,8 +88,9 @@ class DeltaV(Metric):
 class ConflictSeverity(Metric):
     """Change of the ego's velocity in a predicted collision, after evasive braking.
 
-    ``[m_other / (m + m_other) (|v_other - v| - a TTC)]₊`` in m/s: the predicted `DeltaV` after braking with a until the
-    contact. The time to collision TTC is that of `Ttc`. The value is 0 if no collision is predicted, or both stand. Not
+    ``[m_other / (m + m_other) (|v_other - v| - a TTC)]₊`` in m/s: the predicted `DeltaV` if the ego brakes with the
+    deceleration a until the contact. m and m_other are the masses, v and v_other the velocities of the ego and the
+    other entity. TTC is the time to collision (`Ttc`). The value is 0 if no collision is predicted, or both stand. Not
     defined if one of the two does not exist. Least critical value (cap): 0 m/s.
 
     Source: O. Bagdadi, "Estimation of the severity of safety critical events", Accident Analysis and Prevention 50
@@ -96,7 +99,7 @@ class ConflictSeverity(Metric):
     Parameters
     ----------
     deceleration : float, default 8.0
-        a in m/s².
+        Deceleration a in m/s².
     masses : mapping of str to float, optional
         As in `DeltaV`.
 
@@ -134,10 +137,10 @@ class ConflictSeverity(Metric):
 
 
 def find_first_contact(recording: Recording, ego: str, other: str) -> tuple[int, float] | None:
-    """First instant of a contact, and the velocity change of the lighter entity in m/s; None without a contact.
+    """Return the first instant of a contact, and the velocity change of the lighter entity in m/s.
 
-    The velocity change is that of a plastic impact, in which both stick together. It is 0 if the velocities at the
-    contact are unknown.
+    None without a contact. The velocity change is computed for a plastic impact, in which both stick together. It is 0
+    if the velocities at the contact are unknown.
     """
     touch = boxes_touch_over_time(recording, ego, other)
     recorded = recording.first_collision(ego, other)

@@ -13,13 +13,14 @@ from cornercase.recordings import Recording
 
 
 class LateralAcceleration(Metric):
-    """Required lateral acceleration: the weakest with which the ego passes the other entity, left or right.
+    """Required lateral acceleration: the least with which the ego passes the other entity, left or right.
 
-    ``min over ± of 2 |±(w + w_other) / 2 + Δy| / TTC²`` in m/s². The widths w and w_other are those of the boxes across
-    the ego's heading. TTC is gap / Δv along the heading. Δy is the predicted lateral offset, to the left, of the
-    other's centre from the ego's when the gap is closed; both keep their lateral speeds. The value is 0 if the gap does
-    not shrink, and inf at contact while it does. A standing entity is an obstacle. Not defined if the other entity is
-    not ahead of the ego, or one of the two does not exist. Least critical value (cap): 0; most critical value: 20 m/s².
+    ``min over ± of 2 |±(w + w_other) / 2 + Δy| / TTC²`` in m/s². w and w_other are the widths of the boxes across the
+    ego's heading. TTC is the gap along the heading, divided by the closing speed. Δy is the lateral offset, to the
+    left, of the other's centre from the ego's centre when the gap is closed; it is predicted with constant lateral
+    speeds. The value is 0 if the gap does not shrink, and inf if the boxes touch while the gap shrinks. A standing
+    entity is an obstacle. Not defined if the other entity is not ahead of the ego, or one of the two does not exist.
+    Least critical value (cap): 0; most critical value: 20 m/s².
 
     Source: required lateral acceleration, as in Westhofen et al. 2023 and Jansson 2005.
 
@@ -44,12 +45,12 @@ class LateralAcceleration(Metric):
 
 
 class Stn(Metric):
-    """Steer threat number: required over available lateral acceleration.
+    """Steer threat number: required lateral acceleration divided by available lateral acceleration.
 
     The required lateral acceleration (`LateralAcceleration`) divided by the greatest lateral acceleration of the ego,
-    without unit. It is 1 if full steering just avoids the contact, and 0 if the gap does not shrink. Standing entities
-    are treated as in `LateralAcceleration`, and it is undefined in the same cases. Least critical value (cap): 0; most
-    critical value: 5.
+    without unit. The value is 1 if full steering just avoids the contact, and 0 if the gap does not shrink. A standing
+    entity is an obstacle. Not defined if the other entity is not ahead of the ego, or one of the two does not exist.
+    Least critical value (cap): 0; most critical value: 5.
 
     Source: M. Brännström, J. Sjöberg, E. Coelingh, "A situation and threat assessment algorithm for a rear-end
     collision avoidance system", IEEE Intelligent Vehicles Symposium (2008).
@@ -86,9 +87,9 @@ class Stn(Metric):
 
 
 def required_lateral_acceleration(recording: Recording, ego: str, other: str) -> FloatArray:
-    """Weakest lateral acceleration that avoids contact, shape (T,), in m/s², not negative.
+    """Return the least lateral acceleration with which the ego avoids contact at each instant, shape (T,).
 
-    NaN if the other entity is not ahead of the ego. See `LateralAcceleration`.
+    In m/s², not negative; NaN if the other entity is not ahead of the ego. The formula is in `LateralAcceleration`.
     """
     pair = LeaderGap.from_recording(recording, ego, other)
     heading = recording.heading[recording.entity_index(ego)]

@@ -19,13 +19,14 @@ class Stl(Metric):
     """Robustness of a formula of signal temporal logic: positive if it holds, negative if it is violated.
 
     The course is the robustness from each instant on; the score is the robustness at the first instant. The unit is
-    that of the formula's bounds, or 1 if they have several units. Not defined (NaN at all instants) if no bound was
-    ever defined, or if it depends on what the run does not show, as on lanes without the roads.
+    the common unit of the bounds in the formula, or 1 if they have several units. Not defined (NaN at all instants) if
+    no bound was ever defined, or if the result depends on something that the run does not show, such as the lanes if
+    the roads are unknown.
 
-    The cap follows from the parts of the formula; the largest counts. If a part compares a metric with a number, it is
-    the distance of the number from the cap of the metric, so ``stl:always(clearance > 0.5)`` scores the ``clearance``
-    less 0.5. For any other comparison it is 100. The most critical value is -100, or lower if a number is more than 100
-    away from the most critical value of the metric.
+    The cap is the largest cap of any part of the formula. The cap of a comparison of a metric with a number is the
+    distance of the number from the cap of the metric, so ``stl:always(clearance > 0.5)`` scores the ``clearance`` less
+    0.5. The cap of any other part is 100. The most critical value is -100, or lower if a number is more than 100 away
+    from the most critical value of its metric.
 
     Source: G. E. Fainekos, G. J. Pappas, "Robustness of temporal logic specifications for continuous-time signals",
     Theoretical Computer Science 410 (2009); A. Donzé, O. Maler, "Robust satisfaction of temporal logic over real-valued
@@ -34,7 +35,7 @@ class Stl(Metric):
     Parameters
     ----------
     formula : str, default "clearance > 0"
-        Everything behind the colon: ``"stl:always[0:5](ttc > 1.5)"``. Its language is that of
+        Text behind the colon of the name, as in ``"stl:always[0:5](ttc > 1.5)"``, in the language of
         `cornercase.metrics.Expression`.
 
     Raises
@@ -63,8 +64,8 @@ class Stl(Metric):
         self.formula = Expression.parse(formula)
         if references := self.formula.reference_drivers:
             raise InputError(
-                f"The formula '{self.formula}' needs a run with the driver {references[0]}, which a metric does not"
-                " make; use it in `critical_if` or `require`."
+                f"The formula '{self.formula}' needs a run with the driver {references[0]}, but a metric runs no"
+                " scenario; use the formula in `critical_if` or `require`."
             )
         self.unit, self.cap = self.formula.unit, self.formula.cap
         self.bound = -max(

@@ -1,4 +1,4 @@
-"""Time exposed (TET) and time integrated (TIT) time to collision."""
+"""Metrics time exposed (TET) and time integrated (TIT) time to collision."""
 
 from __future__ import annotations
 
@@ -42,16 +42,17 @@ class _TimeBelowThresholdMetric(Metric):
 
     @abstractmethod
     def _integrand(self, margin: FloatArray) -> FloatArray:
-        """Integrand at each instant, (T,).
+        """Return the integrand at each instant, shape (T,).
 
-        `margin` is how far the time to collision is below the threshold; -inf if it is not defined.
+        `margin` is the threshold minus the time to collision in s; -inf if the time to collision is not defined.
         """
 
     @abstractmethod
     def _mean_integrand(self, low: FloatArray, high: FloatArray, crosses: BoolArray) -> FloatArray:
-        """Mean of the integrand between successive instants, (T - 1,); the margin changes linearly between them.
+        """Return the mean of the integrand between successive instants, shape (T - 1,).
 
-        `low` and `high` are the smaller and larger margin of both instants; `crosses` says if 0 lies between them.
+        The margin (threshold minus time to collision, in s) changes linearly between two instants. `low` is the smaller
+        and `high` the larger margin of the two; `crosses` says whether 0 lies between them.
         """
 
 
@@ -71,8 +72,9 @@ class Tet(_TimeBelowThresholdMetric):
     threshold : float, default 1.5
         τ in s.
     rule : {"linear", "samples"}, default "linear"
-        Integration between the instants: the time to collision is interpolated linearly, or each instant counts for the
-        step that follows it (the last one for as long as the one before).
+        Integration between the instants. With ``"linear"``, the time to collision is interpolated linearly. With
+        ``"samples"``, each instant counts for the time step that follows, and the last instant for as long as the
+        instant before.
 
     Examples
     --------
@@ -96,7 +98,7 @@ class Tet(_TimeBelowThresholdMetric):
 
 
 class Tit(_TimeBelowThresholdMetric):
-    """Time integrated time to collision: for how long, and by how much, it has been below τ.
+    """Time integrated time to collision: for how long, and by how much, the time to collision has been below τ.
 
     ``∫ (τ - TTC)₊ dt`` in s², with the time to collision TTC of `Ttc`. The integral runs from the start to each
     instant, so the course never falls, and its last value is the score. It is defined at all instants: nothing is added
@@ -135,5 +137,5 @@ class Tit(_TimeBelowThresholdMetric):
 
 
 def _difference_if_crossing(low: FloatArray, high: FloatArray, crosses: BoolArray) -> FloatArray:
-    """`high - low` where the threshold lies between them, else 1, so that the divisor is never 0."""
+    """Return ``high - low`` if `crosses`, otherwise 1, so that the result can be a divisor."""
     return np.where(crosses, np.where(crosses, high, 1.0) - np.where(crosses, low, 0.0), 1.0)

@@ -1,4 +1,7 @@
-"""What other rooms use of `cornercase.metrics.timeline`; it is compiled, so they import it where they need it."""
+"""Functions and classes of `cornercase.metrics.timeline` for other subpackages.
+
+Import this module inside the functions that need it, since it loads compiled code.
+"""
 
 from cornercase.metrics.timeline._earlier_braking import EARLIER as EARLIER
 from cornercase.metrics.timeline._earlier_braking import CollisionReply as CollisionReply

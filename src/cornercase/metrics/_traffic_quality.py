@@ -1,4 +1,4 @@
-"""Inverse universal traffic quality."""
+"""Metric of inverse universal traffic quality."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _STANDSTILL = 1e-5  # m/s
 
 
 class TrafficQuality(Metric):
-    r"""How demanding the traffic of the whole scene is for the ego; higher is more critical.
+    r"""Inverse universal traffic quality: how demanding the traffic around the ego is; higher is more critical.
 
     ``penalty * sqrt(macro² + micro² + nano² + individual²)``, without unit, over all n entities that exist:
 
@@ -32,7 +32,7 @@ class TrafficQuality(Metric):
     - *individual*, how the ego drives: (\|mean a\| / 1.5 m/s² + mean v / 13.89 m/s) / 2, means over the
       samples of the last 2 s, fewer at the beginning;
     - *penalty*, the distance: exp(-d / 5 m), with the smallest gap d between the boxes of any two entities: 1
-      if two overlap, 0 for a scene of one.
+      if two boxes overlap, 0 for a scene of one entity.
 
     Speeds count without their sign. Macro and nano are 0 if the mean speed is below 1e-5 m/s, so a standing scene has
     only the micro term. Not defined if the ego does not exist. The `other` entity of `course` is not used, but a
@@ -46,7 +46,7 @@ class TrafficQuality(Metric):
     Parameters
     ----------
     term : {"all", "macro", "micro", "nano", "individual", "penalty"}, default "all"
-        Which term to give by itself.
+        Term to give by itself; ``"all"`` for the formula above.
 
     Raises
     ------
@@ -78,7 +78,7 @@ class TrafficQuality(Metric):
         self.name = "traffic-quality" if term == "all" else f"traffic-quality-{term}"
 
     def course(self, recording: Recording, ego: str, other: str = "") -> FloatArray:
-        """Traffic quality at each instant, or the chosen term; `other` is not used."""
+        """Compute the traffic quality, or the chosen term, at each instant; `other` is not used."""
         scene = _TrafficScene(recording, ego)
         if self.term != "all":
             return np.where(scene.exists[scene.ego], _TERMS[self.term](scene), np.nan)
@@ -87,7 +87,7 @@ class TrafficQuality(Metric):
 
 
 class _TrafficScene:
-    """All entities of a recording, relative to the ego; the methods return the terms, shape (T,) each."""
+    """Motion of all entities of a recording; the methods return the terms of the traffic quality, shape (T,) each."""
 
     def __init__(self, recording: Recording, ego: str) -> None:
         self.recording = recording
@@ -145,9 +145,9 @@ _TERMS: Final = {
 
 
 def _coefficient_of_variation(speed: FloatArray, is_counted: BoolArray) -> FloatArray:
-    """Coefficient of variation (standard deviation over mean) of the speeds that count.
+    """Return the coefficient of variation (standard deviation over mean) of the counted speeds at each instant.
 
-    It is 0 if none counts, or all of them are 0.
+    It is 0 if no speed counts, or if all of them are 0.
     """
     count = np.maximum(is_counted.sum(0), 1)
     mean = np.where(is_counted, speed, 0.0).sum(0) / count
@@ -157,7 +157,7 @@ def _coefficient_of_variation(speed: FloatArray, is_counted: BoolArray) -> Float
 
 
 def _running_mean_from(first: IntArray, values: FloatArray) -> FloatArray:
-    """Mean of the finite values from index `first` up to each instant; 0 if there are none."""
+    """Return for each instant the mean of the finite values from its index in `first` on; 0 if there are none."""
     is_finite = np.isfinite(values)
     total = np.append(0.0, np.cumsum(np.where(is_finite, values, 0.0)))
     count = np.append(0, np.cumsum(is_finite))

@@ -1,4 +1,4 @@
-"""Distance along both trajectories to their crossing."""
+"""Metric of the distance along both trajectories to their crossing."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class TrajectoryDistance(Metric):
     Parameters
     ----------
     ahead : float, default 100.0
-        How far each track goes straight on after the recording, in m; 0 for recorded tracks only.
+        Length in m by which each track goes straight on after the recording; 0 for recorded tracks only.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Time to collision."""
+"""Metric of the time to collision."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ class Ttc(Metric):
     Parameters
     ----------
     accelerating : bool, default False
-        Let both keep their present acceleration along the heading until they stand instead; braking does not lead to
-        reversing.
+        Let both keep their present acceleration along the heading, instead of their speed, until they stand. An entity
+        that brakes does not reverse.
     severity : bool, default False
-        Score collisions below 0, by how hard they are (`Metric.score_with_contact`).
+        Score collisions below 0, harder ones lower (`Metric.score_with_contact`).
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Worst time to collision."""
+"""Metric of the worst time to collision."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="call-arg"
@@ -22,16 +22,18 @@ _VULNERABLE_TYPES = frozenset({"bicycle", "pedestrian", "wheelchair", "animal"})
 class Wttc(Metric):
     """Time to collision if both entities do the worst that physics allows.
 
-    Each entity may accelerate in any direction by at most ``a``: after a time t it is somewhere in a circle that moves
-    on with its present velocity and grows by ``a t²/2``. The value is the smallest t >= 0 in s with ::
+    Each entity may accelerate in any direction by at most ``a``. So after a time t the entity is somewhere in a circle
+    that moves on with the present velocity of the entity and grows by ``a t²/2``. The value is the smallest t >= 0 in s
+    with ::
 
-        |Δp + Δv t| = R + (a_ego + a_other) t² / 2,
+        |Δp + Δv t| = R + (a_ego + a_other) t² / 2.
 
-    where Δp and Δv are the differences of the box centres and of the velocities along the headings, and R is the sum of
-    the half diagonals, so that the circles enclose the boxes. It never exceeds the time to collision.
+    Δp and Δv are the differences of the box centres and of the velocities along the headings. R is the sum of the half
+    diagonals, so that the circles enclose the boxes. The value never exceeds the time to collision.
 
-    0 if the circles touch now. Two standing entities give sqrt(2 (d - R) / (a_ego + a_other)). Not defined if one of
-    the two does not exist. Never inf as long as one can accelerate. Least critical value (cap): 10 s.
+    The value is 0 if the circles touch now, and finite as long as an entity can accelerate. Two standing entities at a
+    distance d give sqrt(2 (d - R) / (a_ego + a_other)). Not defined if one of the two does not exist. Least critical
+    value (cap): 10 s.
 
     Source: W. Wachenfeld, P. Junietz, R. Wenzel, H. Winner, "The worst-time-to-collision metric for situation
     identification", IEEE Intelligent Vehicles Symposium (2016).
@@ -39,11 +41,11 @@ class Wttc(Metric):
     Parameters
     ----------
     vehicle_acceleration : float, default 6.9
-        Greatest acceleration in m/s² of everything not named below.
+        Greatest acceleration in m/s² of vehicles, and of all types of entities that are not listed below.
     vulnerable_acceleration : float, default 2.5
         Greatest acceleration in m/s² of bicycles, pedestrians, wheelchairs and animals.
     severity : bool, default False
-        Score collisions below 0, by how hard they are (`Metric.score_with_contact`).
+        Score collisions below 0, harder ones lower (`Metric.score_with_contact`).
 
     Raises
     ------
@@ -101,9 +103,9 @@ class Wttc(Metric):
 def earliest_circle_contact(
     position: FloatArray, velocity: FloatArray, radius: npt.ArrayLike, acceleration: npt.ArrayLike
 ) -> FloatArray:
-    """Smallest t >= 0 in s with ``|position + velocity t| = radius + acceleration t² / 2``, elementwise.
+    """Return the smallest t >= 0 in s with ``|position + velocity t| = radius + acceleration t² / 2``, elementwise.
 
-    `position` and `velocity`, shape (..., 2), are those of one circle relative to the other. `radius` is the sum of
+    `position` and `velocity`, shape (..., 2), describe one circle relative to another. `radius` is the sum of
     both radii in m, `acceleration` the sum of both greatest accelerations in m/s²; with 0 the result is the time to
     collision of the circles. The result is 0 if the circles touch now, inf if they never do, and NaN if an input is
     NaN.
