@@ -1,1 +1,1 @@
-"""Who caused a collision, as far as the recorded motion and the roads show it."""
+"""Rules that find whose fault a collision is, from the recorded motion and the roads."""

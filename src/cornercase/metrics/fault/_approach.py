@@ -1,4 +1,7 @@
-"""How two parties came together: from which direction, who was in whose way first, and who left its line."""
+"""Description of how two parties came together before a collision.
+
+From which direction they came, whose path was blocked first, and who left its line.
+"""
 
 from __future__ import annotations
 
@@ -14,12 +17,12 @@ if TYPE_CHECKING:
     from cornercase.roads._network import RoadNetwork
 
 _LOOK_BACK: Final = 6.0
-"""Time in s before the contact from which on the approach is considered."""
+"""Length in s of the time before the contact that is considered."""
 
 _STEP: Final = 0.1
 _SPACING: Final = 0.5
 _EXTENSION: Final = 20.0
-"""Length in m by which a corridor goes straight on behind the contact."""
+"""Length in m by which a corridor (area that a box will sweep) goes straight on after the contact."""
 
 STRAIGHT: Final = np.radians(10.0)
 """Change of direction in rad below which an entity goes straight on."""
@@ -30,14 +33,14 @@ TURN: Final = np.radians(20.0)
 
 @dataclass(frozen=True)
 class ConflictApproach:
-    """How two parties, the first and the second, approached each other.
+    """Description of how two parties, the first and the second, approached each other.
 
-    `angle` is the angle between their directions of motion at the contact, and `first_angle` that at the beginning, in
-    rad from 0 to π. `turns` are the changes of direction of each in rad, positive to the left. `in_corridor` is the
-    time before the contact in s since when each is without interruption in the corridor that the other has still to
-    drive, and `always_in_corridor` says whether it was so from the beginning. `shifts` are the distances in m by which
-    each left its first line, positive towards the side on which the other was; `along_road` says whether the line of
-    both is that of the road, else it is straight.
+    `angle` is the angle between their directions of motion at the contact, `first_angle` the angle at the beginning, in
+    rad from 0 to π. `turns` are their changes of direction in rad, positive to the left. The corridor of a party is the
+    area that its box has still to sweep. `in_corridor` says how long before the contact, in s, each party came into the
+    corridor of the other for good. `always_in_corridor` says whether it was there from the beginning. `shifts` are the
+    distances in m by which each party left its first line, positive towards the side on which the other was at the
+    beginning. This line follows the road if `along_road` is True, otherwise it is straight.
     """
 
     angle: float
@@ -50,7 +53,7 @@ class ConflictApproach:
 
     @property
     def turns_hide_lanes(self) -> bool:
-        """Whether both turn the same way, and no road says which of them left its lane."""
+        """True if both turn to the same side, and no road says which of them left its lane."""
         both_turn = min(map(abs, self.turns)) >= STRAIGHT and self.turns[0] * self.turns[1] > 0.0
         return both_turn and not self.along_road
 
@@ -77,7 +80,10 @@ def describe_approach(
 
 
 def _time_in_corridor(party: Party, other: Party, contact: float, begin: float) -> float:
-    """Time in s before the contact since when a box is in the corridor that the other still has to drive."""
+    """Return for how long in s before the contact a party was in the corridor of the other without interruption.
+
+    The corridor is the area that the box of the other has still to sweep.
+    """
     instants = contact - _STEP * np.arange(1, max(int((contact - begin) / _STEP + 1e-6), 0) + 1)
     ends = np.interp(np.append(contact, instants), other.time, other.distance)
     path = np.arange(ends.min(), ends.max() + _EXTENSION, _SPACING)
@@ -91,9 +97,10 @@ def _time_in_corridor(party: Party, other: Party, contact: float, begin: float) 
 def _shifts_along_road(
     network: RoadNetwork, pair: tuple[Party, Party], contact: float, begin: float
 ) -> tuple[float, float] | None:
-    """Distances in m by which both left their first lines along one road; None if they are not on one all the time.
+    """Return the distances in m by which both parties left their first lines, measured along one road.
 
-    In a bend, whoever keeps its lane leaves a straight line.
+    In a bend, a party that keeps its lane leaves a straight line. None if they are in a junction or off the road, or
+    not on one road, at the beginning or at the contact.
     """
     times = np.array([begin, contact])
     x, y = (
@@ -115,7 +122,10 @@ def _shifts_along_road(
 
 
 def _shift(party: Party, other: Party, contact: float, begin: float) -> float:
-    """Distance in m by which a party left its first line, positive towards where the other is at the contact."""
+    """Return the distance in m by which a party left its first, straight line until the contact.
+
+    It is positive towards the side on which the other was at the beginning.
+    """
     direction = party.direction_at(begin)
     sideways = np.array([-np.sin(direction), np.cos(direction)])
     positions = [

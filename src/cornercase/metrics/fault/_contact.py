@@ -1,4 +1,4 @@
-"""The first contact of two boxes: when, where, and on which side of each."""
+"""First contact of two boxes: its time and point, and the side of each box that is hit."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _CORNER: Final = 0.15
 """Distance in m from two sides within which a contact is at their corner."""
 
 _N_REFINEMENTS, _N_PARTS = 3, 16
-"""How often, and in how many parts, the step with the contact is divided."""
+"""Number of times that the step with the contact is divided, and number of parts of each division."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,10 @@ class Contact:
 
 
 def find_contact(recording: Recording, names: tuple[str, str], reported: float) -> Contact | str:
-    """Find the contact that a simulator reports at a time in s; a sentence if boxes and motion do not show it."""
+    """Find the contact that a simulator reports at the time `reported` in s.
+
+    If boxes and motion do not show the contact, return a sentence that says why.
+    """
     parties = [Party.from_recording(recording, name, reported + _MAX_DELAY) for name in names]
     if not all(len(party.time) for party in parties):
         return "their motion is unknown"
@@ -72,13 +75,13 @@ def find_contact(recording: Recording, names: tuple[str, str], reported: float) 
 
 
 def _grown(party: Party, time: float, margin: float) -> FloatArray:
-    """Corners of a box with a margin around it in m, shape (4, 2)."""
+    """Return the corners of the box of a party at a time in s, with a margin in m around the box, shape (4, 2)."""
     x, y, heading = (np.interp(time, party.time, values) for values in (party.x, party.y, party.heading))
     return box_corners(x, y, heading, party.size[0] + 2.0 * margin, party.size[1] + 2.0 * margin)
 
 
 def _overlap_center(box: FloatArray, other: FloatArray) -> FloatArray:
-    """Mean of the corners of the overlap of two boxes, shape (2,) (clipping by Sutherland and Hodgman)."""
+    """Return the mean of the corners of the overlap of two boxes, shape (2,) (Sutherland and Hodgman clipping)."""
     overlap = list(box)
     for k in range(4):
         start, edge = other[k], other[(k + 1) % 4] - other[k]
@@ -94,9 +97,9 @@ def _overlap_center(box: FloatArray, other: FloatArray) -> FloatArray:
 
 
 def _side_hit(party: Party, time: float, point: FloatArray, approach: FloatArray) -> Side:
-    """Side of a box that is nearest to a point; at a corner, the one that the other moves against.
+    """Return the side of a box that is nearest to a point; near a corner, the side that the other moves against.
 
-    `approach` is the velocity of the other relative to this one, in m/s.
+    `approach` is the velocity of the other entity relative to the party in m/s.
     """
     x, y, heading = (float(np.interp(time, party.time, values)) for values in (party.x, party.y, party.heading))
     cos, sin = np.cos(heading), np.sin(heading)

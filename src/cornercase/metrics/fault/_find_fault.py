@@ -1,4 +1,4 @@
-"""Whose fault a collision is: rules by kind of conflict, each from a published definition."""
+"""Search for whose fault a collision is: rules by kind of conflict, each from a published definition."""
 
 from __future__ import annotations
 
@@ -26,20 +26,21 @@ _LEFT_LINE: Final = 0.3
 """Distance in m from which an entity left its line: drivers wander by up to 0.375 m in the regulation's model."""
 
 _AT_ONCE: Final = 0.25
-"""Difference in s below which two come into each other's way at the same time."""
+"""Difference in s below which two parties count as coming into each other's path at the same time."""
 
 _RECENTLY: Final = 5.0
-"""Time in s within which whoever starts from standing has to look out (Vienna Convention, Article 14).
+"""Time in s after starting from standing in which a party has to look out (Vienna Convention, Article 14).
 
-Whoever stands in the way for longer is an obstacle, whoever had to yield.
+A party that has stood in the other's path for longer is an obstacle, even if it had to yield.
 """
 
 
 @dataclass(frozen=True)
 class _Ruling:
-    """Who is at fault of the first and the second party (none: undecided), the conflict, and why.
+    """Result of a rule: the parties at fault, the kind of conflict, and the reason.
 
-    `{0}` and `{1}` in `reason` stand for their names.
+    `guilty` has 0 for the first party and 1 for the second; it is empty if the fault is undecided. ``{0}`` and ``{1}``
+    in `reason` stand for the names of the parties.
     """
 
     guilty: tuple[int, ...]
@@ -50,28 +51,30 @@ class _Ruling:
 def find_fault(recording: Recording, ego: str, collision: Collision) -> Fault:
     """Find whose fault a collision of the ego is, as far as the motion shows it.
 
-    Both parties are judged by the same rules. The first that applies says who is at fault:
+    Both parties are judged by the same rules. The first rule that applies says who is at fault:
 
-    1. *Standing*: who moves into an entity that stands, unless that one stopped in its way within the last 1.15 s, too
-       late for it and could have waited (Vienna Convention on Road Traffic 1968, Article 13: ability to stop); or
-       it had to yield as in rule 5, and has stood in the other's way for at most 5 s.
-    2. *Reversing*: who backs into the other, or into its way as in rule 5 (Article 14).
-    3. *Rear end*, in about the same direction: who drives into the rear of the other (safe distance: definition 1 of
-       Shalev-Shwartz et al. 2017; Article 13). If the other cut in, it is at fault if the time to collision at its
-       intrusion was not above Δv / (2 · 6 m/s²) + 0.35 s (UN Regulation No. 157, 5.2.5.2).
-    4. *Lane change*: of two that move in the same direction and touch at a side, who left its line (Article 14). The
-       line is that of the road, if both are on one, else straight on.
-    5. *Right of way*: who has to yield at a junction by the road file: its priorities, its signs, else who does not
-       come from the right (Article 18). The reason says whether the other could still have braked.
-    6. *Turning*: of two that came towards each other, who turns across the path of the other (Article 16).
-    7. *Oncoming*: who is on the wrong side by the road file; else who left its line (Article 10 to 12).
-    8. *Crossing*, *pedestrian*: who came into the other's way second, if a careful and competent driver in its place
-       would have avoided the first (UN Regulation No. 157, Annex 4, Appendix 3; see `find_chance`). Else the first, who
-       came too late for that, if it would have avoided the second, has started from standing, or is on foot (Article
-       14 and 20).
+    1. *Standing*: the party that moves into a standing party. The standing party is at fault if it stopped in the
+       other's path within the last 1.15 s, too late for the other to brake, and could have waited (Vienna Convention on
+       Road Traffic 1968, Article 13: ability to stop). It is also at fault if it had to yield as in rule 5, and has
+       stood in the other's path for at most 5 s.
+    2. *Reversing*: the party that backs into the other, or into the other's path (Article 14).
+    3. *Rear end*, in about the same direction: the party that drives into the rear of the other (safe distance:
+       definition 1 of Shalev-Shwartz et al. 2017; Article 13). The party ahead is at fault if it cut in with a time to
+       collision of at most Δv / (2 · 6 m/s²) + 0.35 s (UN Regulation No. 157, 5.2.5.2).
+    4. *Lane change*: of two that move in the same direction and touch at a side, the party that left its line (Article
+       14). The line follows the road if both are on one road, otherwise it is straight.
+    5. *Right of way*: the party that has to yield at a junction by the road file: by its priorities, else by its signs,
+       else the party that does not come from the right (Article 18). The reason says whether the other could still have
+       braked.
+    6. *Turning*: of two that came towards each other, the party that turns across the path of the other (Article 16).
+    7. *Oncoming*: the party on the wrong side by the road file, else the party that left its line (Article 10 to 12).
+    8. *Crossing*, *pedestrian*: the party that came into the other's path second, if a careful and competent driver
+       would have avoided the first party (UN Regulation No. 157, Annex 4, Appendix 3; see `find_chance`). Otherwise the
+       first party, since it came too late for that. But the first party is at fault only if this driver in its place
+       would have avoided the second party, or if it has just started from standing or is on foot (Article 14 and 20).
 
-    Undecided if none of these says who: both come at the same time, neither left its line, or motion or contact are
-    unknown. The result is the same if both change roles, and if the scene is turned or mirrored.
+    The fault is undecided if no rule says who: for example, both come at the same time, neither left its line, or
+    motion or contact are unknown. The result is the same if both change roles, and if the scene is turned or mirrored.
     """
     (other,) = (name for name in collision.entities if name != ego)
     contact = find_contact(recording, (ego, other), collision.time)
@@ -91,7 +94,7 @@ def find_fault(recording: Recording, ego: str, collision: Collision) -> Fault:
 
 
 class _Case:
-    """A collision of two parties, 0 and 1, with what several rules need."""
+    """A collision of two parties, 0 and 1, with quantities that several rules need, and the rules."""
 
     def __init__(
         self, first: Party, second: Party, contact: Contact, obstacles: Sequence[Party], roads: RoadNetwork | None
@@ -105,7 +108,7 @@ class _Case:
         return describe_approach(*self.parties, self.contact.time, self._roads)
 
     def chance(self, k: int) -> Chance:
-        """Chance of a party to avoid the other."""
+        """Return the chance that party `k` had to avoid the other party."""
         if k not in self._chances:
             self._chances[k] = find_chance(*self._pair(k), self.contact.time, self._obstacles)
         return self._chances[k]
@@ -115,13 +118,13 @@ class _Case:
 
     @cached_property
     def _yields(self) -> int | None:
-        """Which party has to yield by the road file; None if it does not say, or one is on foot."""
+        """The party (0 or 1) that has to yield by the road file; None if it does not say, or a party is on foot."""
         if self._roads is None or any(party.is_pedestrian for party in self.parties):
             return None
         return find_who_yields(self._roads, self.parties, self.contact.time)
 
     def rule(self) -> _Ruling:
-        """Apply the rules in their order."""
+        """Apply the rules in their order, and return the result of the first rule that applies."""
         approach, is_on_foot = self.approach, any(party.is_pedestrian for party in self.parties)
         stands = [abs(speed) < STANDING_SPEED for speed in self.speeds]
         if all(stands):
@@ -153,9 +156,9 @@ class _Case:
     def _rule_standing(self, standing: int) -> _Ruling:
         moving = 1 - standing
         stopped = self._time_standing(standing)
-        # Whoever stood for long enough could be seen standing.
+        # A party that has stood for long enough could be seen standing.
         is_late = stopped is not None and stopped < REACTION_TIME and not self.parties[moving].is_pedestrian
-        # Whoever follows another has to keep a distance in which it can stop.
+        # A party that follows another has to keep a distance in which it can stop.
         is_late &= not self.approach.always_in_corridor[standing]
         if not is_late or self.chance(moving).could_avoid or not self.chance(standing).could_avoid:
             since = "all the time" if stopped is None else f"for {stopped:.1f} s"
@@ -172,13 +175,13 @@ class _Case:
         )  # fmt: skip
 
     def _time_standing(self, k: int) -> float | None:
-        """Time in s for which a party has stood at the contact; None if all the time."""
+        """Return for how long in s a party has stood at the contact; None if it has stood all the time."""
         party = self.parties[k]
         moving = np.flatnonzero(np.abs(party.speed) >= STANDING_SPEED)
         return self.contact.time - float(party.time[moving[-1]]) if len(moving) else None
 
     def _rule_rear_end(self) -> _Ruling | None:
-        """Rule on who drives into a rear; None if nobody does."""
+        """Decide who is at fault if one party drives into the rear of the other; None if no party does."""
         for behind, ahead in ((0, 1), (1, 0)):
             if self.contact.sides[behind] == "front" and self.contact.sides[ahead] == "rear":
                 late = self._cut_in_time(behind, ahead)
@@ -198,7 +201,10 @@ class _Case:
         return None
 
     def _cut_in_time(self, behind: int, ahead: int) -> tuple[float, float] | None:
-        """Time to collision at the intrusion in s, and the least one; None if the one ahead did not cut in."""
+        """Return the time to collision in s when the party ahead cut in, and the least one that is allowed.
+
+        None if the party ahead did not cut in, or if the gap did not shrink then.
+        """
         approach = self.approach
         if approach.always_in_corridor[ahead] or abs(approach.shifts[ahead]) < _LEFT_LINE:
             return None
@@ -228,7 +234,10 @@ class _Case:
         return _Ruling((), "lane change", "neither moves sideways")
 
     def _rule_right_of_way(self) -> _Ruling | None:
-        """Rule on who has to yield, since it reverses or by the road file; None if nothing says that."""
+        """Decide that the party is at fault that has to yield, as it reverses or by the road file.
+
+        None if neither says who has to yield.
+        """
         reversing = [speed <= -STANDING_SPEED for speed in self.speeds]
         if reversing.count(True) == 1:
             k = reversing.index(True)
@@ -252,7 +261,7 @@ class _Case:
                 return _Ruling(
                     (wrong.index(True),), "oncoming", f"{{{wrong.index(True)}}} is on the wrong side of the road"
                 )
-        # Whoever was in the other's way from the beginning did not leave its line to come there.
+        # Parties that were in each other's path from the beginning did not leave a line to come there.
         left = [k for k in (0, 1) if abs(shifts[k]) >= _LEFT_LINE]
         if all(self.approach.always_in_corridor) or not left:
             return _Ruling((), "oncoming", "they come towards each other, and neither leaves its line")
@@ -286,7 +295,7 @@ class _Case:
         return _Ruling((), conflict, f"{lateness}, and could not have avoided it either")
 
     def _has_just_started(self, k: int) -> bool:
-        """Whether a party stood within the last 5 s, out of the other's way, and could have waited."""
+        """Return whether a party stood within the last 5 s, out of the path of the other, and could have waited."""
         party = self.parties[k]
         standing = party.time[np.abs(party.speed) < STANDING_SPEED]
         since = self.contact.time - float(standing[-1]) if len(standing) else np.inf

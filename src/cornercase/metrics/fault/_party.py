@@ -1,4 +1,4 @@
-"""One party to a collision: its motion until the contact, and how it would go on."""
+"""Party to a collision: its recorded motion until the contact, and how it would go on."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ STANDING_SPEED: Final = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Party:
-    """Motion of an entity until a contact; after it, the entity keeps its speed and direction.
+    """Motion of an entity at T instants until a contact; afterwards it keeps its speed and direction.
 
-    `time` in s; `x` and `y` of the box's centre in m; `heading` in rad, without jumps; `speed` in m/s, negative when
-    reversing; shape (T,) each. `size` is length and width in m.
+    `time` in s; `x` and `y` of the box's centre in m; `heading` in rad, without jumps by 2π; `speed` in m/s, negative
+    when reversing; shape (T,) each. `size` is length and width in m.
     """
 
     name: str
@@ -42,12 +42,15 @@ class Party:
 
     @classmethod
     def from_recording(cls, recording: Recording, name: str, end: float, look_back: float = _LOOK_BACK) -> Party:
-        """Take the motion in the last `look_back` s until `end` in s; without any instant if it is unknown."""
+        """Create a party from the recorded motion in the last `look_back` s until `end` in s.
+
+        The party has no instants if its motion is unknown.
+        """
         i = recording.entity_index(name)
         center = recording.box_center(name)
         is_known = np.isfinite(center).all(axis=1) & np.isfinite(recording.heading[i] + recording.speed[i])
         is_recent = (recording.time <= end + 1e-9) & (recording.time >= end - look_back)
-        # The entity may have vanished before, and come again.
+        # The entity may have vanished and come again: use the time since it came last.
         instants = np.flatnonzero(is_known & is_recent)
         if len(instants):
             gaps = np.flatnonzero(np.diff(instants) > 1)
@@ -65,7 +68,7 @@ class Party:
 
     @property
     def is_pedestrian(self) -> bool:
-        """Whether it is somebody on foot, or an animal."""
+        """True if the party is a person on foot or in a wheelchair, or an animal."""
         return self.object_type in ("pedestrian", "wheelchair", "animal")
 
     @cached_property
@@ -74,21 +77,24 @@ class Party:
         return np.append(0.0, np.cumsum(np.hypot(np.diff(self.x), np.diff(self.y))))
 
     def speed_at(self, time: float) -> float:
-        """Speed in m/s, negative when reversing."""
+        """Return the speed at a time in s: in m/s, negative when reversing."""
         return float(np.interp(time, self.time, self.speed))
 
     def direction_at(self, time: float) -> float:
-        """Direction of motion in rad; that of the heading while it stands."""
+        """Return the direction of motion in rad at a time in s; for a standing party, its heading."""
         heading = float(np.interp(time, self.time, self.heading))
         return heading + np.pi if self.speed_at(time) < -STANDING_SPEED else heading
 
     def velocity_at(self, time: float) -> FloatArray:
-        """Velocity in m/s, shape (2,)."""
+        """Return the velocity at a time in s: in m/s, shape (2,)."""
         heading = np.interp(time, self.time, self.heading)
         return self.speed_at(time) * np.array([np.cos(heading), np.sin(heading)])
 
     def poses_at(self, time: FloatArray) -> Poses:
-        """Poses of the box at times, shape (n,); straight on after the last instant."""
+        """Return the poses of the box at n times in s, shape (n,).
+
+        After its last instant, the party goes straight on at constant speed.
+        """
         after = np.maximum(time - self.time[-1], 0.0)
         velocity = self.velocity_at(float(self.time[-1]))
         return (
@@ -98,7 +104,10 @@ class Party:
         )
 
     def poses_along(self, distance: FloatArray) -> Poses:
-        """Poses of the box at distances along its path in m, any shape; straight on after its end."""
+        """Return the poses of the box at distances along its path in m, an array of any shape.
+
+        Beyond the end of the path, the party goes straight on.
+        """
         beyond = np.maximum(distance - self.distance[-1], 0.0)
         end = self.direction_at(float(self.time[-1]))
         return (
@@ -108,28 +117,31 @@ class Party:
         )
 
     def corners(self, poses: Poses) -> FloatArray:
-        """Corners of the box at poses, shape (..., 4, 2)."""
+        """Return the corners of the box at given poses, shape (..., 4, 2)."""
         return box_corners(*poses, *self.size)
 
 
 def _without_jumps(heading: FloatArray) -> FloatArray:
-    """Unwrap headings in rad; most have no jump, which is quick to see."""
+    """Unwrap headings in rad, unless they have no jump by 2π, which is quick to check."""
     return np.unwrap(heading) if len(heading) > 1 and np.abs(heading[1:] - heading[:-1]).max() > np.pi else heading
 
 
 def iter_obstacles(
     recording: Recording, names: tuple[str, str], end: float, look_back: float = _LOOK_BACK
 ) -> Iterator[Party]:
-    """Take the motion of all but two entities, as `Party.from_recording`; without those whose motion is unknown."""
+    """Yield the motion of all entities except two, `names`, as in `Party.from_recording`.
+
+    Entities whose motion is unknown are left out.
+    """
     for name in recording.names:
         if name not in names and len((party := Party.from_recording(recording, name, end, look_back)).time):
             yield party
 
 
 def boxes_touch(first: Party, poses: Poses, second: Party, other_poses: Poses) -> BoolArray:
-    """Whether the boxes of two entities touch at poses, which are broadcast; only boxes that are near are compared.
+    """Return whether the boxes of two entities touch at given poses, which are broadcast against each other.
 
-    Source: separating axis theorem.
+    Only boxes that are near are compared, by the separating axis theorem.
     """
     reach = 0.5 * (math.hypot(*first.size) + math.hypot(*second.size))
     dx, dy = other_poses[0] - poses[0], other_poses[1] - poses[1]

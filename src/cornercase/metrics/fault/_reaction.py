@@ -1,4 +1,7 @@
-"""Who could still have acted: from when a collision was foreseeable, and until when braking would have avoided it."""
+"""Analysis of who could still have avoided a collision.
+
+When the collision became foreseeable, and until when braking would have avoided it.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,7 @@ _HORIZON: Final = 5.0
 """Time in s by which a driver looks ahead."""
 
 _LOOK_BACK: Final = 8.0
-"""Time in s before the contact from which on motion is considered."""
+"""Length in s of the time before the contact that is considered."""
 
 _STEP: Final = 0.1
 """Time step in s of predictions, and of the instants at which they are made."""
@@ -27,16 +30,16 @@ _STEP: Final = 0.1
 _BRAKING_STEP: Final = 0.05
 
 _MAX_GAP: Final = 0.3
-"""Longest time in s for which a danger may seem to be over."""
+"""Longest interruption in s of a foreseeable danger after which it counts as the same danger."""
 
 
 @dataclass(frozen=True)
 class Chance:
-    """Chance of one party to avoid a collision.
+    """Chance that a party had to avoid a collision.
 
-    `foreseeable` is the time in s before the contact since when the party could see the collision come. `could_avoid`:
-    whether a careful and competent driver would have avoided it, who reacts to what is foreseeable. `is_whole`: whether
-    the recording shows when it became foreseeable, and does not begin later.
+    `foreseeable` is the time in s before the contact since when the party could see the collision coming. `could_avoid`
+    says whether a careful and competent driver, who reacts to what is foreseeable, would have avoided the collision.
+    `is_whole` says whether the recording begins before the collision became foreseeable.
     """
 
     foreseeable: float
@@ -47,11 +50,14 @@ class Chance:
 def find_chance(party: Party, partner: Party, contact: float, obstacles: Iterable[Party]) -> Chance:
     """Find the chance of a party to avoid the collision with its partner by braking on its path.
 
-    The collision is foreseeable from the first instant from which on, without interruption, the partner can be seen and
-    both would collide within 5 s: the party on its path at its speed, the partner straight on. The driver is the
-    careful and competent one of UN Regulation No. 157 (Annex 4, Appendix 3), who recognises the danger within 0.4 s,
-    brakes after 0.75 s, and with 0.774 g within 0.6 s. The partner moves as recorded, and straight on after the
-    contact. A party that stands before they touch has avoided the collision. `obstacles` may hide the partner.
+    The collision is foreseeable as soon as the partner can be seen and both would collide within 5 s, without
+    interruption until the contact. In this prediction the party stays on its path at its speed, and the partner goes
+    straight on. `obstacles` may hide the partner.
+
+    The driver is the careful and competent driver of UN Regulation No. 157 (Annex 4, Appendix 3): recognises the danger
+    within 0.4 s, begins to brake 0.75 s later, and reaches a deceleration of 0.774 g after another 0.6 s. Meanwhile the
+    partner moves as recorded, and straight on after the contact. A party that stands before both touch has avoided the
+    collision.
     """
     foreseeable, is_whole = find_foreseeable(party, partner, contact, obstacles)
     could_avoid = foreseeable > 0.0 and can_brake(party, partner, contact - foreseeable)
@@ -59,9 +65,10 @@ def find_chance(party: Party, partner: Party, contact: float, obstacles: Iterabl
 
 
 def find_foreseeable(party: Party, partner: Party, contact: float, obstacles: Iterable[Party]) -> tuple[float, bool]:
-    """Find the time in s before a contact since when it was foreseeable, 0 if never, and whether it begins then.
+    """Return for how long in s before a contact it was foreseeable, 0 if never, and whether this time is complete.
 
-    See `find_chance`.
+    It is complete if the recording, or the 8 s that are considered, begins earlier. When a collision is foreseeable is
+    defined in `find_chance`.
     """
     instants, is_danger = is_danger_foreseeable(party, partner, contact, obstacles)
     if not len(instants):
@@ -79,34 +86,37 @@ def find_foreseeable(party: Party, partner: Party, contact: float, obstacles: It
 def is_danger_foreseeable(
     party: Party, partner: Party, end: float, obstacles: Iterable[Party]
 ) -> tuple[FloatArray, BoolArray]:
-    """Find whether a party sees a collision with its partner come, in the last 8 s before a time in s.
+    """Find whether a party could see a collision with its partner coming, in the last 8 s before `end` in s.
 
-    Returns instants in s, the latest first, and whether it does at each; shape (n,) both.
+    Return n instants in s, the latest first, and whether the collision was foreseeable at each; shape (n,) both.
     """
     instants = _instants_before(party, partner, end)
     if not len(instants):
         return instants, np.zeros(0, dtype=np.bool_)
     is_danger = _predicts_collision(party, partner, instants)
-    # Obstacles matter only then.
+    # Obstacles matter only if a collision is predicted.
     if is_danger.any():
         is_danger[is_danger] = _can_see(party, partner, instants[is_danger], obstacles)
     return instants, is_danger
 
 
 def can_brake(party: Party, partner: Party, noticed: float) -> bool:
-    """Whether a careful and competent driver avoids the partner, if it notices the danger at a time in s."""
+    """Return whether a careful and competent driver avoids the partner after noticing the danger.
+
+    `noticed` is the time in s at which the driver notices the danger.
+    """
     return _avoids(party, partner, noticed, REACTION_TIME)
 
 
 def can_stop(party: Party, partner: Party, start: float) -> bool:
-    """Whether the party stands before it touches the partner, if it brakes fully from a time in s on, at once."""
+    """Return whether the party stands before it touches the partner, if it brakes fully from the time `start` in s."""
     return _avoids(party, partner, start, 0.0)
 
 
 def find_latest_braking(party: Party, partner: Party, contact: float) -> float | None:
-    """Time in s before the contact until which full braking at once avoids it; None if it never does.
+    """Return until how long in s before the contact full braking without delay avoids it; None if it never does.
 
-    Braking earlier is taken to be no worse.
+    Earlier braking is assumed to be no worse.
     """
     instants = _instants_before(party, partner, contact)
     if not len(instants):
@@ -130,7 +140,10 @@ def _instants_before(party: Party, partner: Party, contact: float) -> FloatArray
 
 
 def _predicts_collision(party: Party, partner: Party, instants: FloatArray) -> BoolArray:
-    """Whether both would collide if the party goes on along its path and the partner straight on, shape (n,)."""
+    """Return whether both would collide within 5 s, predicted at each of n instants, shape (n,).
+
+    The party goes on along its path, the partner straight on.
+    """
     ahead = np.arange(_STEP, _HORIZON + _STEP / 2.0, _STEP)
     speeds = np.abs(np.interp(instants, party.time, party.speed))
     driven = np.interp(instants, party.time, party.distance)
@@ -144,7 +157,7 @@ def _predicts_collision(party: Party, partner: Party, instants: FloatArray) -> B
 
 
 def _can_see(party: Party, partner: Party, instants: FloatArray, obstacles: Iterable[Party]) -> BoolArray:
-    """Whether any corner of the partner's box is in sight of the party's centre, shape (n,)."""
+    """Return whether any corner of the partner's box can be seen from the party's centre at each of n instants."""
     sees = np.ones((len(instants), 4), dtype=np.bool_)
     eye = np.stack([np.interp(instants, party.time, values) for values in (party.x, party.y)], -1)[:, None]
     ray = partner.corners(partner.poses_at(instants)) - eye
@@ -167,7 +180,7 @@ def _can_see(party: Party, partner: Party, instants: FloatArray, obstacles: Iter
 
 
 def _avoids(party: Party, partner: Party, start: float, delay: float) -> bool:
-    """Whether the party stands before they touch, if it brakes fully from `delay` s after `start` on."""
+    """Return whether the party stands before both touch, if it brakes fully from `delay` s after `start` in s."""
     elapsed, speeds = full_braking_speeds(abs(party.speed_at(start)), delay)
     driven = np.append(0.0, np.cumsum(0.5 * (speeds[1:] + speeds[:-1]) * _BRAKING_STEP))
     poses = party.poses_along(float(np.interp(start, party.time, party.distance)) + driven)
@@ -176,7 +189,10 @@ def _avoids(party: Party, partner: Party, start: float, delay: float) -> bool:
 
 
 def full_braking_speeds(speed: float, delay: float) -> tuple[FloatArray, FloatArray]:
-    """Return times in s and speeds in m/s, if a careful and competent driver brakes fully after a delay in s."""
+    """Return times in s and speeds in m/s while a careful and competent driver brakes to standing.
+
+    `speed` is the initial speed in m/s; full braking begins after `delay` in s.
+    """
     rise = FULL_BRAKING / JERK
     elapsed = np.arange(0.0, delay + speed / FULL_BRAKING + rise + 2.0, _BRAKING_STEP)
     braking = np.maximum(elapsed - delay, 0.0)

@@ -1,4 +1,4 @@
-"""What the roads say: who has to yield at a junction, and who is on the wrong side."""
+"""Traffic rules from the roads: who has to yield at a junction, and who is on the wrong side."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ _SIGN_DISTANCE: Final = 30.0
 _SPACING: Final = 0.5
 
 _LEAST_CROSSING: Final = np.radians(30.0)
-"""Angle in rad between two roads, or one and the other's extension, from which on one leads in from a side."""
+"""Angle in rad between two roads, or between a road and the extension of the other, from which the roads cross."""
 
 _YIELD_SIGNS: Final = frozenset(
     {("", "205"), ("DE", "205"), ("DEU", "205"), ("", "206"), ("DE", "206"), ("DEU", "206")}
 )
-"""Country and type of signs that demand to yield or to stop: those of the German catalogue, OpenDRIVE's example."""
+"""Country and type of signs to yield or to stop: the German ones, which OpenDRIVE uses as its example."""
 
 
 def roads_of(recording: Recording) -> RoadNetwork | None:
-    """Return the roads on which a run was made; None if they are unknown, or cannot be read any more."""
+    """Return the roads of a recording; None if they are unknown, or if their file can no longer be read."""
     if recording.road_file is None:
         return None
     try:
@@ -44,11 +44,12 @@ def roads_of(recording: Recording) -> RoadNetwork | None:
 
 
 def find_who_yields(network: RoadNetwork, parties: tuple[Party, Party], contact: float) -> int | None:
-    """Return which of two parties has to yield to the other at a junction; None if the road file does not say.
+    """Return which of two parties (0 or 1) has to yield to the other at a junction.
 
-    By the ``<priority>`` of the junction, whose roads may be those that lead to it or those through it; else by signs
-    to yield or stop before it; else to who comes from the right, in left-hand traffic from the left (Vienna Convention
-    on Road Traffic 1968, Article 18, 4). The state of traffic lights is in no recording, so they say nothing.
+    The ``<priority>`` elements of the junction decide first; their roads may lead to the junction or through it. Next
+    come signs to yield or to stop before the junction. Otherwise, the party has to yield that sees the other come from
+    the right, or from the left in left-hand traffic (Vienna Convention on Road Traffic 1968, Article 18, 4). Traffic
+    lights do not count, since their state is in no recording. None if the road file does not say who has to yield.
     """
     routes = [_roads_driven(network, party, contact) for party in parties]
     junctions = [{network.roads[k].junction for k in route} - {"", "-1"} for route in routes]
@@ -74,9 +75,10 @@ def find_who_yields(network: RoadNetwork, parties: tuple[Party, Party], contact:
 
 
 def _find_who_comes_from_the_left(network: RoadNetwork, junction: str, roads: tuple[str, str]) -> int | None:
-    """Return which of two comes from the other's left, in left-hand traffic from its right, by their roads.
+    """Return which of two parties (0 or 1) has to yield since the other comes from the right.
 
-    None if they come from the same road or towards each other.
+    In left-hand traffic, since the other comes from the left. `roads` are the ids of the roads that the parties come
+    from. None if they come from the same road or towards each other.
     """
     first, second = (_heading_into(network, road, junction) for road in roads)
     turn = float(wrap_angle(second - first))
@@ -90,7 +92,7 @@ def _find_who_comes_from_the_left(network: RoadNetwork, junction: str, roads: tu
 
 
 def _heading_into(network: RoadNetwork, road_id: str, junction: str) -> float:
-    """Heading in rad with which a road leads into a junction."""
+    """Return the heading in rad with which a road leads into a junction."""
     road = network.roads[network.road_index(road_id)]
     leads_forward = _leads_forward_into(road, junction)
     s = np.array([road.length if leads_forward else 0.0])
@@ -99,7 +101,10 @@ def _heading_into(network: RoadNetwork, road_id: str, junction: str) -> float:
 
 
 def is_on_wrong_side(network: RoadNetwork, party: Party, contact: float) -> bool | None:
-    """Whether an entity drives against the traffic of the lane below its centre; None in junctions and off the road."""
+    """Return whether an entity drives against the traffic of the lane below its centre.
+
+    None in junctions and off the road.
+    """
     x, y = (np.array([np.interp(contact, party.time, values)]) for values in (party.x, party.y))
     position = network.locate(x, y)
     road, lane = int(position.road[0]), int(position.lane[0])
@@ -116,7 +121,7 @@ def is_on_wrong_side(network: RoadNetwork, party: Party, contact: float) -> bool
 
 
 def _roads_driven(network: RoadNetwork, party: Party, contact: float) -> list[int]:
-    """Indices of the roads that an entity was on before the contact, in order."""
+    """Return the indices of the roads that an entity was on in the last 8 s before the contact, in order."""
     begin = max(float(party.time[0]), contact - _LOOK_BACK)
     route: list[int] = []
     road, s = np.array([-1]), np.array([0.0])
@@ -129,14 +134,18 @@ def _roads_driven(network: RoadNetwork, party: Party, contact: float) -> list[in
 
 
 def _leads_forward_into(road: Road, junction: str) -> bool:
-    """Whether the end of a road, not its begin, is at a junction."""
+    """Return whether the end of a road, not its start, is at a junction."""
     return road.successor is not None and road.successor.target_id == junction
 
 
 def _road_into(
     network: RoadNetwork, junction: str, route: list[int], party: Party, contact: float
 ) -> tuple[str, str] | None:
-    """Ids of the road from which a party enters a junction, and of the one through it on which it is at the contact."""
+    """Return the ids of the road from which a party enters a junction, and of its road through the junction.
+
+    The road through the junction is the road that fits best to the pose of the party at the contact. None if the route
+    of the party has no road that leads into the junction.
+    """
     driven = {network.roads[k].road_id for k in route}
     connections = [link for link in network.connections.get(junction, ()) if link[0] in driven and link[1]]
     if not connections:
@@ -156,7 +165,7 @@ def _road_into(
 
 
 def _has_yield_sign(network: RoadNetwork, route: list[int], junction: str) -> bool:
-    """Whether a sign to yield or stop stands at the end of the road from which a route enters a junction."""
+    """Return whether a sign to yield or stop stands where a route enters a junction, within 30 m of it."""
     for k, after in pairwise(route):
         road = network.roads[k]
         if network.roads[after].junction != junction or road.junction == junction:
