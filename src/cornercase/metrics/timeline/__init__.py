@@ -1,1 +1,1 @@
-"""What happened when between the ego and another entity, and what earlier braking would have changed."""
+"""Events between the ego and another entity, and the effect that earlier braking would have had."""

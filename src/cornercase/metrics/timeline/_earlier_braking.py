@@ -1,7 +1,7 @@
-"""What other braking would have changed: the ego on its own path, while the other moves as recorded.
+"""Effect of other braking on a collision: the ego stays on its path, the other entity moves as recorded.
 
-Nothing is simulated. After the contact, the other goes straight on at its speed. Any contact counts that would happen
-up to 5 s after the recorded one, also one with an ego that stands.
+Nothing is simulated. After the contact, the other entity goes straight on at constant speed. A collision counts as
+avoided only if no contact would happen up to 5 s after the recorded contact, not even with an ego that stands.
 """
 
 from __future__ import annotations
@@ -18,15 +18,24 @@ from cornercase.metrics.timeline._find_events import ANTICIPATION, BRAKING, Enco
 from cornercase.recordings import Recording
 
 EARLIER: Final = (0.3, 0.5, 1.0)
-"""Times in s by which the braking is moved; from 1 s on it would often begin before anybody could have known."""
+"""Times in s by which braking is moved forward.
+
+By more than 1 s, it would often begin before anybody could have known of the danger.
+"""
 
 _AFTER: Final = 5.0
-"""Time in s after the recorded contact until which there must be none: a car crosses a junction within that."""
+"""Time in s after the recorded contact in which no contact may happen, so that the collision is avoided.
+
+A car crosses a junction within this time.
+"""
 
 _STEP: Final = 0.05
 
 _SPEED_GAIN: Final = 0.5
-"""Gain of speed in m/s above its lowest one from which the ego drives on: above what rounding or a controller does."""
+"""Gain in m/s above the lowest speed from which the ego counts as driving on after braking.
+
+It is larger than effects of rounding or of a controller.
+"""
 
 _TOLERANCE: Final = 1e-9
 
@@ -35,18 +44,19 @@ Reply = Literal["none", "brakes", "drives on"]
 
 @dataclass(frozen=True)
 class CollisionReply:
-    """What the ego did about a collision, and what else it could have done.
+    """Reaction of the ego to a collision with another entity, and what else would have avoided the collision.
 
-    `reply` is ``"none"`` if it did not brake, ``"brakes"`` if it braked or stood until the contact, ``"drives on"`` if
-    it braked and sped up again before. `reaction` is the time in s from a foreseeable collision to braking, negative
-    if it braked up to 0.5 s before; None if it did not brake because of it, as far as that is known. `seen_too_late`:
-    not even full braking at once, since it could see the collision coming, lets the ego stand before they touch.
+    `reply` is ``"none"`` if the ego did not brake, ``"brakes"`` if it braked or stood until the contact, and ``"drives
+    on"`` if it braked and sped up again before. `reaction` is the time in s from the instant at which the collision was
+    foreseeable to braking, negative if the ego braked up to 0.5 s before. It is None if the ego did not brake because
+    of the collision, as far as is known. `seen_too_late` is True if even full braking, without delay after the
+    collision became foreseeable, does not let the ego stand before both touch.
 
-    `avoided_by` tells for each time of `EARLIER` whether there is no contact if the same braking begins that much
-    earlier, but not before the ego could see the other, and if the ego then stops and waits; None without braking.
-    `avoided` tells it of another alternative, None if it does not apply: without braking, to brake fully 1.15 s after
-    the collision was foreseeable, as the careful driver of UN Regulation No. 157; and to stop and wait instead of
-    driving on.
+    `avoided_by` says for each time in `EARLIER` whether the collision is avoided if the same braking begins earlier by
+    this time, but not before the ego could see the other entity, and if the ego then stops and waits. It is None
+    without braking. `avoided` says whether another alternative avoids the collision; None if no alternative applies.
+    Without braking, the alternative is to brake fully 1.15 s after the collision was foreseeable, like the careful
+    driver of UN Regulation No. 157. If the ego drove on, the alternative is to stop and wait.
     """
 
     events: EncounterEvents
@@ -58,7 +68,10 @@ class CollisionReply:
 
 
 def find_reply(recording: Recording, ego: str, other: str, contact: float) -> CollisionReply | None:
-    """Find what the ego did about a collision at a time in s; None if the motion of one of them is unknown."""
+    """Find how the ego reacted to a collision at the time `contact` in s, and what else would have avoided it.
+
+    None if the motion of one of the entities is unknown.
+    """
     party, partner = (Party.from_recording(recording, name, contact) for name in (ego, other))
     if min(len(party.time), len(partner.time)) < 2:
         return None
@@ -87,7 +100,7 @@ def find_reply(recording: Recording, ego: str, other: str, contact: float) -> Co
 
 @dataclass(frozen=True, eq=False)
 class _Encounter:
-    """Motion of the ego and the other before they touch."""
+    """Motion of the ego and of the other entity until they touch at the time `contact` in s."""
 
     ego: Party
     other: Party
@@ -99,16 +112,19 @@ class _Encounter:
         return np.abs(self.ego.speed)
 
     def is_avoided_by_full_braking(self, foresees: float) -> bool:
-        """Whether the careful driver of UN Regulation No. 157 avoids the contact, from a foreseeable danger on."""
+        """Return whether the careful driver of UN Regulation No. 157 avoids the contact.
+
+        `foresees` is the time in s at which the danger becomes foreseeable.
+        """
         start = max(foresees, float(self.ego.time[0]))
         elapsed, speeds = full_braking_speeds(abs(self.ego.speed_at(start)), REACTION_TIME)
         return not self._touches(start, start + elapsed, speeds)
 
     def is_avoided_by_braking(self, times: FloatArray, speeds: FloatArray, earlier: float, earliest: float) -> bool:
-        """Whether the same braking avoids the contact if it begins earlier by a time in s, and the ego stops and waits.
+        """Return whether the same braking, begun `earlier` s earlier, avoids the contact, if the ego then waits.
 
-        `times` in s and `speeds` in m/s are those of the braking. It is held on the deceleration that was its hardest.
-        The ego is at no time faster than it was.
+        `times` in s and `speeds` in m/s are the recorded braking. The moved braking begins at `earliest` in s or later.
+        Afterwards, the ego keeps its hardest deceleration until it stands. The ego is never faster than recorded.
         """
         start = min(max(float(times[0]) - earlier, earliest), float(times[0]))
         deceleration = _hardest_deceleration(times, speeds)
@@ -122,7 +138,10 @@ class _Encounter:
         return not self._touches(start, braking_times, np.where(is_recorded, np.minimum(braking, as_recorded), braking))
 
     def _touches(self, start: float, times: FloatArray, speeds: FloatArray) -> bool:
-        """Whether they touch until 5 s after the contact, if the ego drives with these speeds from a time in s on."""
+        """Return whether both touch until 5 s after the contact, if the ego drives with other speeds.
+
+        `times` in s and `speeds` in m/s are the motion of the ego from the time `start` in s on.
+        """
         moments = np.arange(start, self.contact + _AFTER + _TOLERANCE, _STEP)
         driven_speeds = np.interp(moments, times, speeds)
         driven = np.append(0.0, np.cumsum(0.5 * (driven_speeds[1:] + driven_speeds[:-1]) * _STEP))
@@ -131,5 +150,5 @@ class _Encounter:
 
 
 def _hardest_deceleration(times: FloatArray, speeds: FloatArray) -> float:
-    """Hardest deceleration in m/s², at least that of braking."""
+    """Return the hardest deceleration in m/s², at least the threshold from which the ego counts as braking."""
     return max(BRAKING, *(-np.diff(speeds) / np.diff(times)).tolist()) if len(times) > 1 else BRAKING

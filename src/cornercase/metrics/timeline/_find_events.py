@@ -1,4 +1,7 @@
-"""What happened when: the ego could see the other, could foresee a collision, slowed down, braked, and touched it."""
+"""Search for the times of events between the ego and another entity.
+
+When the ego could see the other entity, could foresee a collision, slowed down, braked, and touched it.
+"""
 
 from __future__ import annotations
 
@@ -20,21 +23,21 @@ from cornercase.recordings import Recording
 SLOWING: Final = 0.4
 """Deceleration in m/s² from which the ego slows down.
 
-It is that of UN Regulation No. 157's careful driver, who has left the accelerator and not braked yet (Annex 4,
-Appendix 3).
+It is the deceleration of the careful driver of UN Regulation No. 157 who has released the accelerator and does not
+brake yet (Annex 4, Appendix 3).
 """
 
 BRAKING: Final = 1.3
 """Deceleration in m/s² from which the ego brakes: from here on brake lights have to light (UN Regulation No. 13-H)."""
 
 ANTICIPATION: Final = 0.5
-"""Time in s by which a driver may slow down before a collision is foreseeable here.
+"""Time in s before a collision is foreseeable from which slowing down counts as a reaction to it.
 
-It is foreseen from constant speeds; a driver may predict better than that.
+A collision is foreseen from constant speeds here; a driver may predict better.
 """
 
 _MAX_GAP: Final = 0.3
-"""Longest time in s for which sight or braking may seem to be over."""
+"""Longest interruption in s of sight or braking that is ignored."""
 
 _LOOK_AHEAD: Final = 5.0
 """Time in s after the closest point for which the ego's path is needed to foresee a collision."""
@@ -50,15 +53,17 @@ _ROUNDING: Final = 1e-6
 
 @dataclass(frozen=True)
 class EncounterEvents:
-    """What happened when between the ego and another entity: times in s, None for what did not happen.
+    """Times in s of events between the ego and another entity, `other`; None for events that did not happen.
 
-    `sees`: since when the ego could see the other without interruption, before they touch or are closest; the eye and
-    the rule are those of the drivers, without a field of view or a range. `foresees`: since when it could see a
-    collision coming, as in `find_chance`; without a contact the last such danger before they are closest. `slows` and
-    `brakes`: the first braking that begins at most 0.5 s before that, and the slowing down that it belongs to; else a
-    braking that goes on or gets harder then, or the last one by which the ego had stopped. Without a foreseeable
-    collision `slows` is None, and `brakes` the last braking that began in sight of the other. `closest` is the instant
-    of the smallest gap between the boxes, `gap` in m.
+    `sees` is when the ego could see the other entity, without interruption until they touch or are closest. Sight is
+    computed as for the drivers, without limits of angle or distance. `foresees` is when the ego could see a collision
+    coming, as in `find_chance`. Without a contact, this is the last such danger before they are closest. `contact` is
+    when they touch. `closest` is the instant of the smallest gap between the boxes, and `gap` is this gap in m.
+
+    `brakes` is the begin of the first braking that starts at most 0.5 s before `foresees`, or later. Without it, it is
+    the begin of braking that gets harder or goes on at `foresees`, else of the last braking by which the ego had
+    stopped. `slows` is the begin of the slowing down that leads to this braking. Without a foreseeable collision,
+    `slows` is None, and `brakes` is the begin of the last braking that started in sight of the other entity.
     """
 
     other: str
@@ -72,7 +77,10 @@ class EncounterEvents:
 
 
 def find_events(recording: Recording, ego: str, other: str, contact: float | None = None) -> EncounterEvents:
-    """Find what happened when between the ego and another entity; `contact` is the time in s at which they collide."""
+    """Find the times of events between the ego and another entity.
+
+    `contact` is the time in s at which they collide; None if they do not collide.
+    """
     entities = recording.with_absent_entities((ego, other))
     i, j = entities.entity_index(ego), entities.entity_index(other)
     time, poses = entities.time, Poses.from_recording(entities)
@@ -93,14 +101,14 @@ def find_events(recording: Recording, ego: str, other: str, contact: float | Non
     if sees is None:
         foresees = None
     elif foresees is not None:
-        # Its eye is not at the centre of its box, from which a danger is foreseen.
+        # Sight starts at the driver's eye, danger at the centre of the box, so the times can differ.
         foresees = max(foresees, sees)
     slows, brakes = _find_braking(entities, i, before, sees, foresees)
     return EncounterEvents(other, sees, foresees, slows, brakes, contact, closest, float(gap))
 
 
 def _find_sight(recording: Recording, ego_index: int, other_index: int) -> BoolArray:
-    """Whether the ego can see the other at each instant, shape (T,)."""
+    """Return whether the ego can see the other entity at each instant, shape (T,)."""
     watched = [k for k in range(len(recording.names)) if k != ego_index]
     boxes = np.array([recording.length, recording.width, recording.center_x], dtype=np.float64)
     poses = np.array([recording.x, recording.y, recording.heading], dtype=np.float64).transpose(2, 0, 1)
@@ -115,12 +123,15 @@ def _find_sight(recording: Recording, ego_index: int, other_index: int) -> BoolA
 
 
 def _find_runs(mask: BoolArray, time: FloatArray) -> list[tuple[int, int]]:
-    """First and last instant of each run in which a mask holds; gaps up to 0.3 s do not end a run."""
+    """Return the first and last instant of each run in which a mask holds.
+
+    Gaps up to 0.3 s, plus one usual time step, do not end a run.
+    """
     instants = np.flatnonzero(mask)
     if not len(instants):
         return []
     gaps = np.diff(time[instants])
-    # The step is costly to find, and seldom matters.
+    # The usual time step takes long to find, and seldom matters.
     ends = np.flatnonzero(gaps > _MAX_GAP)
     if len(ends):
         ends = ends[gaps[ends] > _MAX_GAP + _usual_step(time)]
@@ -133,7 +144,10 @@ def _usual_step(time: FloatArray) -> float:
 
 
 def _find_danger(recording: Recording, ego: str, other: str, anchor: float, touches: bool) -> float | None:
-    """Time in s since when a collision was foreseeable; None if it never was."""
+    """Return the time in s since when a collision was foreseeable; None if it never was.
+
+    `anchor` is the time in s at which both touch or are closest.
+    """
     end, back = (anchor, _LOOK_BACK) if touches else (anchor + _LOOK_AHEAD, _LOOK_BACK + _LOOK_AHEAD)
     party, partner = (Party.from_recording(recording, name, end, back) for name in (ego, other))
     if min(len(party.time), len(partner.time)) < 2:
@@ -150,7 +164,7 @@ def _find_danger(recording: Recording, ego: str, other: str, anchor: float, touc
 def _find_braking(
     recording: Recording, ego_index: int, before: BoolArray, sees: float | None, foresees: float | None
 ) -> tuple[float | None, float | None]:
-    """When the ego slows down, and when it brakes."""
+    """Return the times in s at which the ego begins to slow down, and to brake; None if it does not."""
     time, speed = recording.time, recording.speed[ego_index]
     deceleration = np.nan_to_num(-recording.acceleration[ego_index] * np.where(speed < 0.0, -1.0, 1.0))
     if sees is None:
@@ -158,7 +172,7 @@ def _find_braking(
     begin = int(np.searchsorted(time, sees - 1e-9))
 
     def runs_after(threshold: float, earliest: float) -> list[tuple[int, int]]:
-        """Runs that begin in sight of the other, from a time on."""
+        """Return runs of deceleration that begin in sight of the other, at `earliest` in s or later."""
         runs = _find_runs((deceleration >= threshold - _ROUNDING) & before, time)
         return [run for run in runs if run[0] > begin and time[run[0]] >= earliest - 1e-9]
 
@@ -168,7 +182,7 @@ def _find_braking(
     earliest = foresees - ANTICIPATION
     brakes = _first_begin(runs_after(BRAKING, earliest), time)
     if brakes is None:
-        # It may brake already, for a bend, and harder from here on.
+        # The ego may brake already, for example before a bend, and brake harder from here on.
         now = int(np.searchsorted(time, foresees - 1e-9))
         harder = before & (time >= foresees - 1e-9) & (deceleration >= max(deceleration[now], 0.0) + BRAKING)
         brakes = _first_begin(_find_runs(harder, time), time)
