@@ -230,7 +230,7 @@ def metric_class(**attributes: object) -> type[cc.Metric]:
         (max, r"`metrics` <built-in function max>: derive a class from `cornercase.Metric` and give an object of it"),
         (
             [metric_class()(), metric_class()()],
-            "`metrics`: two different metrics have the name 'mine'; give one anothe",
+            "`metrics`: two different metrics have the name 'mine'; rename one of t",
         ),
     ],
 )

@@ -49,7 +49,7 @@ def test_a_condition_has_one_way_of_writing_and_is_read_again_as_the_same(given,
         ("collision and", "collision and\n                 ^"),
         (
             "collision not reference:rss",
-            "give and, or, ->, until, or the end of the condition.\n    collision not reference:rss\n              ^",
+            "go on with and, or, -> or until, or end the condition here.\n    collision not reference:rss\n              ^",
         ),
         ("reference cc-human", "a colon and the name of a driver"),
         ("reference:", "the name of a driver"),
@@ -60,7 +60,7 @@ def test_a_condition_has_one_way_of_writing_and_is_read_again_as_the_same(given,
         ("thw < ttc", "compare the score of a metric with a number"),
         ("ttc < 1 m", "ttc is in s"),
         ("not " * 60 + "collision", "nested more than 50"),
-        ("collision && ttc < 1", "write and for &&"),
+        ("collision && ttc < 1", "write 'and' instead of '&&'"),
     ],
 )
 def test_what_is_no_condition_is_refused_with_what_helps(given, words):

@@ -296,7 +296,7 @@ def test_a_name_ends_where_an_operator_begins(text, meant):
     assert Expression.parse(read.text) == read
 
 
-@pytest.mark.parametrize(("operator", "right"), [("AND", "did you mean 'and'"), ("&&", "write and for &&")])
+@pytest.mark.parametrize(("operator", "right"), [("AND", "did you mean 'and'"), ("&&", "write 'and' instead of '&&'")])
 def test_an_operator_of_another_language_behind_a_name_is_no_part_of_it(operator, right):
     with pytest.raises(InputError, match=right):
         Expression.parse(f"collision with C {operator} ttc < 1")

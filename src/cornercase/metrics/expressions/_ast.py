@@ -1,4 +1,4 @@
-"""Syntax tree of an expression, and how it is written."""
+"""Syntax tree of a logical expression, and its normalized spelling."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Relation = Literal["<", "<=", ">", ">="]
 Operator = Literal["no", "unless", "not", "and", "or", "->", "always", "eventually", "until"]
 
 TEMPORAL: Final = frozenset({"always", "eventually", "until"})
-# A name ends where an operator begins, whatever the case in which it is written.
+# A name ends before an operator, in upper or lower case.
 _END_OF_NAME: Final = r"(?:(?i:and|or|until|unless)(?=[\s()\[]|$)|->|&&|\|\|)"
 _PART_OF_NAME: Final = rf"(?!{_END_OF_NAME})(?:\([^()]*\)|(?!->)[^\s()<>])+"
 ENTITY_NAME: Final = rf'(?!"){_PART_OF_NAME}(?:\s+{_PART_OF_NAME})*'
@@ -26,7 +26,10 @@ ENTITY_NAME: Final = rf'(?!"){_PART_OF_NAME}(?:\s+{_PART_OF_NAME})*'
 
 @dataclass(frozen=True)
 class Signal:
-    """A signal in a bound, named as in `Signals`; with `absolute`, its absolute value counts."""
+    """Signal of a recording in a bound, such as ``ttc`` or ``ego.speed``, named as in `Signals`.
+
+    With `absolute`, the absolute value of the signal is compared.
+    """
 
     name: str
     unit: str
@@ -44,11 +47,11 @@ class Signal:
 
     @property
     def is_score(self) -> bool:
-        """Whether the signal is the score of a metric, which is one number for the whole run."""
+        """True if the signal is the score of a metric, which is one number for the whole run."""
         return self.metric not in ("", self.name)
 
     def values(self, signals: Signals) -> FloatArray:
-        """Values at each instant, (T,); NaN where the signal is not defined."""
+        """Return the values of the signal at each instant, shape (T,); NaN if it is not defined."""
         values = signals.values[self.name]
         return np.abs(values) if self.absolute else values
 
@@ -59,7 +62,7 @@ class Signal:
 
 @dataclass(frozen=True)
 class Bound:
-    """A comparison of a signal with another signal, or with a number in the unit of the signal.
+    """Comparison of a signal with another signal, or with a number in the unit of the signal: ``ttc > 1.5 s``.
 
     `number_text` is the normalized spelling of the number.
     """
@@ -76,7 +79,7 @@ class Bound:
 
     @property
     def is_lower(self) -> bool:
-        """Whether the left signal is bounded from below."""
+        """True if the bound limits the left signal from below: ``>`` or ``>=``."""
         return self.relation in (">", ">=")
 
     def describe_right_side(self, signals: Signals, instant: int) -> str:
@@ -107,9 +110,9 @@ class ReferenceCollides:
 
 @dataclass(frozen=True)
 class EgoReaches:
-    """Statement that the centre of the ego's box gets within `radius` m of a position.
+    """Statement that the centre of the ego's box gets within `radius` m of the position (`x`, `y`).
 
-    It has to do so at most `time_limit` s after the start.
+    This has to happen at most `time_limit` s after the start.
     """
 
     x: float
@@ -133,13 +136,13 @@ class EgoLeaves:
 
     @property
     def metric(self) -> str:
-        """Name of the metric that tells how far inside it is."""
+        """Name of the metric of the distance from the ego's box to the edge of the lane or road."""
         return "lane-margin" if self.what == "lane" else f"lane-margin:edge={self.what}"
 
 
 @dataclass(frozen=True)
 class Operation:
-    """An operator and its operands.
+    """Operator of an expression and its operands.
 
     `interval` of a temporal operator is its start and end in s; inf stands for the end of the recording.
     """
@@ -160,7 +163,7 @@ Node: TypeAlias = Leaf | Operation
 
 
 def format_node(node: Node, as_condition: bool = False) -> str:
-    """Write an expression in its normalized spelling; nested operations get brackets.
+    """Return an expression in its normalized spelling; nested operations get brackets.
 
     `as_condition` uses the short forms of conditions: ``not collision`` for ``not(collision)``, and ``ttc`` for the
     score of ``ttc``.
@@ -209,7 +212,7 @@ def _is_connection(node: Node) -> bool:
 
 
 def iter_leaves(node: Node) -> Iterator[Leaf]:
-    """Iterate over the bounds and statements, from left to right."""
+    """Iterate over the bounds and statements of an expression, from left to right."""
     if not isinstance(node, Operation):
         yield node
         return
@@ -218,5 +221,5 @@ def iter_leaves(node: Node) -> Iterator[Leaf]:
 
 
 def has_temporal_operator(node: Node) -> bool:
-    """Whether the expression contains a temporal operator."""
+    """Return whether the expression contains a temporal operator."""
     return isinstance(node, Operation) and (node.operator in TEMPORAL or any(map(has_temporal_operator, node.operands)))

@@ -1,4 +1,4 @@
-"""Parser of expressions: recursive descent, and errors that mark the position."""
+"""Parser of logical expressions by recursive descent; errors mark the position in the text."""
 
 from __future__ import annotations
 
@@ -69,13 +69,13 @@ _SHOWN_BEFORE, _SHOWN_AFTER = 50, 30
 def parse_expression(text: str, language: Language = "formula") -> Node:
     """Parse an expression. ExpressionError marks the position of an error and says what to write there.
 
-    In a condition, a bound on a metric refers to the score, unless it is inside a temporal operator.
+    In a condition, a bound on a metric refers to the score, unless the bound is inside a temporal operator.
     """
     return _Parser(text, language).parse_whole()
 
 
 class _Number(NamedTuple):
-    """A number and its unit as they are written, before it is known which signal it is compared with."""
+    """Number and unit as they are written, before the signal is known that the number is compared with."""
 
     value: float
     text: str
@@ -123,13 +123,13 @@ class _Parser:
         interval = self.parse_interval()
         node = self._operation("until", left, self.parse_unary(), interval=interval)
         if self.peek(_NAME) == "until":
-            self.fail("put brackets around one of the two until.")
+            self.fail("two until in a row are ambiguous; put one of them in brackets.")
         return node
 
     def parse_unary(self, is_operand: bool = False) -> Node:
         name, has_bracket = self.peek(_NAME), self.peek(r"\(")
         is_operator = name in ("not", "always", "eventually")
-        # A bracket right behind an operator is no further level.
+        # A bracket right behind an operator is not one more level of nesting.
         levels = int(is_operator or bool(has_bracket and not is_operand))
         self.depth += levels
         self._check_depth(self.depth)
@@ -233,7 +233,7 @@ class _Parser:
         relation = cast(Relation, self.expect("<=|>=|<|>", f"a comparison of '{subject}': <=, >=, <, >"))
         right_begin, right = self.position, self.parse_term()
         if self.peek("[<>]"):
-            self.fail("compare two at a time, as in 1 < ttc and ttc < 5.")
+            self.fail("compare two values at a time, as in 1 < ttc and ttc < 5.")
         if not isinstance(left, Signal):
             left, relation, right = right, _MIRRORED_RELATIONS[relation], left
         if not isinstance(left, Signal):
@@ -274,7 +274,7 @@ class _Parser:
             suggestion = suggest_name(name.partition(":")[0], [*_STATEMENTS, *signal_names()])
             operator = _suggest_operator(name) if name.isalpha() and "known are" in suggestion else ""
             if not operator and "known are" in suggestion:
-                suggestion = f"a metric of your own is one once METRICS.register has named it; {suggestion}"
+                suggestion = f"add a metric of your own with METRICS.register first; {suggestion}"
             self.fail(f"there is no signal '{name}'; {operator or suggestion}")
         try:
             signal = Signal(name, signal_unit(name))
@@ -284,7 +284,7 @@ class _Parser:
         return signal
 
     def peek(self, pattern: str) -> str | None:
-        """Text that matches a pattern at the current position; None if there is no match."""
+        """Return the text that matches a pattern at the current position; None if there is no match."""
         match = re.compile(pattern).match(self.text, self.position)
         return None if match is None else match[0]
 
@@ -314,7 +314,7 @@ class _Parser:
             position, rest = self.position, self.text[self.position :]
             foreign = next((operator for operator in _FOREIGN_OPERATORS if rest.startswith(operator)), None)
             if foreign is not None:
-                message = f"write {_FOREIGN_OPERATORS[foreign]} for {foreign}."
+                message = f"write '{_FOREIGN_OPERATORS[foreign]}' instead of '{foreign}'."
             elif rest and not re.match(r"[\w°%()\[\],:.<>+\"-]", rest, re.ASCII):
                 message = f"{_describe_character(rest[0])} has no meaning here."
         raise ExpressionError(f"The {self.language} cannot be read: {message}", _mark_position(self.text, position))
@@ -343,7 +343,7 @@ class _Parser:
         try:
             return convert_to_unit(number.value, number.unit, unit)
         except InputError as error:
-            # The text behind a number may be a misspelt operator.
+            # The word behind a number may be a misspelt operator instead of a unit.
             hint = _suggest_operator(number.unit) if may_be_operator and not is_known_unit(number.unit) else ""
             self.fail(hint or f"{subject} is in {unit}: {error}", number.unit_position)
 
@@ -379,17 +379,17 @@ class _Parser:
             self.fail("this bracket has no opening bracket; remove it.")
         name = self.peek(_NAME) or ""
         hint = "" if name in (*_OPERATORS, "abs") else _suggest_operator(name)
-        self.fail(hint or f"give and, or, ->, until, or the end of the {self.language}.")
+        self.fail(hint or f"go on with and, or, -> or until, or end the {self.language} here.")
 
 
 def _suggest_operator(name: str) -> str:
-    """Suggest an operator for a misspelt word, in a sentence; empty if none is similar."""
+    """Return a sentence that suggests an operator for a misspelt word; empty if none is similar."""
     sentence = suggest_name(name.lower(), _OPERATORS)
     return sentence if sentence.startswith("did") else ""
 
 
 def _mark_position(text: str, position: int) -> str:
-    """Text around a position in one line, with a caret below the position."""
+    """Return the text around a position in one line, with a caret below the position."""
     from rich.cells import cell_len
 
     begin, end = max(0, position - _SHOWN_BEFORE), position + _SHOWN_AFTER

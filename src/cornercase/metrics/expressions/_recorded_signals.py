@@ -1,4 +1,4 @@
-"""Signals that expressions can use: metrics, the motion of the ego and of another entity, time."""
+"""Signals that expressions can compare: metrics, the motion of the ego and of another entity, time."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ _NON_METRIC_UNITS: Final = MappingProxyType(
 """Unit by name, of signals that are not metrics."""
 
 FORMULA_METRIC: Final = "stl"
-"""Name of the metric of a formula, which cannot be used in an expression."""
+"""Name of the metric that measures a formula; it cannot be used in an expression."""
 
 CONDITION_METRIC: Final = "critical-if"
-"""Name of the metric of a condition, which cannot be used in an expression either."""
+"""Name of the metric that measures a condition; it cannot be used in an expression."""
 
 SCORE_PREFIX: Final = "score("
-"""How the signal of a metric's score begins: ``score(ttc)``."""
+"""Beginning of the name of a signal that is the score of a metric, such as ``score(ttc)``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,21 +47,22 @@ class Signals:
     Attributes
     ----------
     time : ndarray of float64, shape (T,)
-        s, increasing.
+        Times of the T instants in s, increasing.
     values : mapping of str to ndarray of float64, shape (T,)
-        By name: that of a metric with its options, ``"ego.speed"`` and the like, ``"time"``, ``"score(ttc)"``. NaN
-        where a signal is not defined.
+        Values at the instants by name of the signal: a metric with its options, such as ``"ttc"``, its score, such as
+        ``"score(ttc)"``, the motion of an entity, such as ``"ego.speed"``, or ``"time"``. NaN if a signal is not
+        defined at an instant.
     recording : Recording or None, default None
-        Needed by statements on collisions, positions and driven distances only.
+        Only statements on collisions, positions and driven distances need it.
     ego : str, default ""
         Name of the ego in the recording.
     others : tuple of str, default ()
         Entities that the ego is measured against.
     references : mapping of str to (bool or None), default {}
-        Whether each reference driver in the ego's place collides; None if it does not cover such a scenario, missing if
-        it was not run.
+        Whether each reference driver (by name), driving the ego, collides. None if the driver does not cover such a
+        scenario; a driver that was not run is missing.
     faults : dict of Collision to Fault, default {}
-        Whose fault collisions of the ego are, as far as that was found already.
+        Results on whose fault collisions of the ego are, as far as they are already known.
 
     Examples
     --------
@@ -92,7 +93,8 @@ def signals_from_recording(
     """Create the signals of a recording; metrics are computed on first access.
 
     The signal of a metric is its course. At the first instant of a contact the course is at least as critical as the
-    metric's score for contacts. So a collision violates a bound even on a metric whose course does not see collisions.
+    metric's score for contacts. So a collision violates a bound even if the course of its metric does not show
+    collisions.
 
     Parameters
     ----------
@@ -130,12 +132,12 @@ def signals_from_recording(
 
 
 def metric_of_signal(name: str) -> str:
-    """Name of the metric that a signal belongs to, with options; empty for other signals."""
+    """Return the name, with options, of the metric that a signal belongs to; empty for other signals."""
     return "" if name in _NON_METRIC_UNITS else name.removeprefix(SCORE_PREFIX).removesuffix(")")
 
 
 def signal_unit(name: str) -> str:
-    """Unit of a signal. InputError if its metric cannot be used or does not have such options."""
+    """Return the unit of a signal. InputError if its metric cannot be used or does not have the given options."""
     if name in _NON_METRIC_UNITS:
         return _NON_METRIC_UNITS[name]
     base = name.partition(":")[0]
@@ -147,12 +149,12 @@ def signal_unit(name: str) -> str:
 
 
 def has_signal(name: str) -> bool:
-    """Whether there is a signal of this name, or a metric that it belongs to."""
+    """Return whether `name` is the name of a signal, or of a metric with any options."""
     return name in _NON_METRIC_UNITS or name.partition(":")[0] in METRICS
 
 
 def signal_names() -> list[str]:
-    """Names of all signals except scores."""
+    """Return the names of all signals except scores."""
     return [*_NON_METRIC_UNITS, *(name for name in METRICS.names() if name not in (FORMULA_METRIC, CONDITION_METRIC))]
 
 
@@ -197,7 +199,10 @@ class _LazySignals(dict[str, FloatArray]):
 
 
 def _lateral_acceleration(recording: Recording, name: str) -> FloatArray:
-    """Return the acceleration of an entity's reference point across its heading: speed times rate of turn, (T,)."""
+    """Return the acceleration of an entity's reference point across its heading in m/s², shape (T,).
+
+    It is the speed times the turn rate, positive to the left.
+    """
     i, time = recording.entity_index(name), recording.time
     if len(time) < 2:
         return np.full(len(time), np.nan)

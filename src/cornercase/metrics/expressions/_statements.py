@@ -1,4 +1,4 @@
-"""Margins of bounds and statements in one run."""
+"""Evaluation of the bounds (``ttc < 1``) and statements (``collision``) of an expression in one run."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ TIME_TOLERANCE: Final = 1e-6
 
 
 class LeafValues(NamedTuple):
-    """Margin and truth (1 or -1) of a bound or statement at each instant, (T,); NaN where it is not defined.
+    """Margin and truth (1 or -1) of a bound or statement at each of T instants, shape (T,); NaN if undefined.
 
-    `is_known` of a bound: whether it is defined at any instant. Of a statement: whether the run shows if it is true.
+    `is_known` says whether a bound is defined at any instant, or whether the run shows if a statement is true.
     """
 
     margin: FloatArray
@@ -39,7 +39,10 @@ class LeafValues(NamedTuple):
 
 
 def evaluate_leaf(leaf: Leaf, signals: Signals) -> LeafValues:
-    """Evaluate margin and truth of a bound or statement; InputError if a statement lacks the recording it needs."""
+    """Compute margin and truth of a bound or statement at each instant.
+
+    Raises InputError if a statement needs a recording and the signals have none.
+    """
     if isinstance(leaf, Bound):
         return _evaluate_bound(leaf, signals)
     if isinstance(leaf, ReferenceCollides):
@@ -74,20 +77,23 @@ def _evaluate_bound(bound: Bound, signals: Signals) -> LeafValues:
 
 
 def recording_of(signals: Signals) -> Recording:
-    """Recording of the signals; InputError if they have none."""
+    """Return the recording of the signals; InputError if they have none."""
     if signals.recording is None:
-        raise InputError("These signals have no recording, which a collision, a position or a driven distance needs.")
+        raise InputError(
+            "These signals have no recording, but statements on collisions, positions and driven distances need one;"
+            " make the signals with `signals_from_recording`."
+        )
     return signals.recording
 
 
 def is_present(recording: Recording, ego: str, entity: str = "") -> BoolArray:
-    """Whether the ego, and `entity` if it is not empty, exists at each instant, (T,)."""
+    """Return whether the ego, and `entity` if it is not empty, exists at each instant, shape (T,)."""
     rows = [recording.entity_index(name) for name in (ego, entity) if name]
     return np.asarray(np.isfinite(recording.x[rows]).all(axis=0))
 
 
 def find_collisions(statement: EgoCollides, signals: Signals) -> list[Collision]:
-    """Collisions in the recording to which a statement applies, in order of time."""
+    """Return the collisions in the recording to which a statement applies, in order of time."""
     return [
         collision
         for collision in recording_of(signals).collisions
@@ -98,7 +104,7 @@ def find_collisions(statement: EgoCollides, signals: Signals) -> list[Collision]
 
 
 def fault_of(collision: Collision, signals: Signals) -> Fault:
-    """Whose fault a collision of the ego is; found once for all statements on the recording."""
+    """Return whose fault a collision of the ego is; found once and stored in the signals."""
     if collision not in signals.faults:
         from cornercase.metrics.fault._find_fault import find_fault
 
@@ -107,16 +113,16 @@ def fault_of(collision: Collision, signals: Signals) -> Fault:
 
 
 def driven_distance(recording: Recording, ego: str) -> FloatArray:
-    """Distance in m that the ego has driven by each instant, shape (T,)."""
+    """Return the distance in m that the ego has driven until each instant, shape (T,)."""
     i = recording.entity_index(ego)
     steps = np.hypot(np.diff(recording.x[i], prepend=np.nan), np.diff(recording.y[i], prepend=np.nan))
     return np.asarray(np.cumsum(np.where(np.isfinite(steps), steps, 0.0)))
 
 
 def distance_in_time(statement: EgoReaches, recording: Recording, ego: str) -> FloatArray:
-    """Distance in m, (T,), of the ego's box centre from the position that it has to reach.
+    """Return the distance in m between the ego's box centre and the position that it has to reach, shape (T,).
 
-    NaN after the time limit of the statement, and where the ego does not exist.
+    NaN after the time limit of the statement, and if the ego does not exist.
     """
     distances = np.hypot(*(recording.box_center(ego) - (statement.x, statement.y)).T)
     elapsed = recording.time - recording.time[0]
@@ -145,7 +151,7 @@ def _evaluate_position(statement: EgoReaches, recording: Recording, ego: str) ->
     distances = distance_in_time(statement, recording, ego)
     margin = np.where(np.isnan(distances), -np.inf, statement.radius - distances)
     truth = np.where(margin >= 0.0, 1.0, -1.0)
-    # If the ego left the scenario before, it can no longer arrive.
+    # An ego that left the scenario before its end can no longer arrive.
     could_arrive = (
         recording.time[-1] - recording.time[0] < statement.time_limit - TIME_TOLERANCE
         and is_present(recording, ego)[-1]

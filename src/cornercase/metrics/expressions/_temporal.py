@@ -1,4 +1,4 @@
-"""Temporal operators in discrete time."""
+"""Temporal operators of logical expressions in discrete time."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ _STEP_TOLERANCE: Final = 1e-6  # fraction of a step
 
 
 def always(values: FloatArray, interval: tuple[float, float] | None, time: FloatArray) -> FloatArray:
-    """Smallest value in an interval that starts at each instant, (T,); inf if the interval contains no instant.
+    """Return the smallest value in an interval after each instant, shape (T,).
 
     `interval` is start and end in s after the instant. If it is None, or the end is inf, it extends to the end of the
-    recording.
+    recording. The result is inf if the interval contains no instant.
     """
     if interval is None:
         return np.asarray(np.minimum.accumulate(values[::-1])[::-1])
@@ -28,12 +28,14 @@ def always(values: FloatArray, interval: tuple[float, float] | None, time: Float
 
 
 def until(left: FloatArray, right: FloatArray, interval: tuple[float, float] | None, time: FloatArray) -> FloatArray:
-    """Robustness of ``left until right`` from each instant on, (T,): `right` has to hold at an instant in the interval.
+    """Return the robustness of ``left until right`` from each instant on, shape (T,).
 
-    `left` has to hold at all instants before that one. `interval` is as in `always`; the result is -inf if it contains
-    no instant. With an interval the formula is rewritten as in Donzé, Ferrère and Maler 2013 ("Efficient robust
-    monitoring for STL"), as a conjunction of three parts: `right` holds at some time in the interval; `left` holds
-    before the interval; from the start of the interval on, `left` holds until `right` does.
+    `right` has to hold at an instant in the interval, and `left` at all instants before that instant. `interval` is as
+    in `always`; the result is -inf if it contains no instant.
+
+    With an interval the formula is rewritten as in Donzé, Ferrère and Maler 2013 ("Efficient robust monitoring for
+    STL"), as a conjunction of three parts: `right` holds at some time in the interval; `left` holds before the
+    interval; from the start of the interval on, `left` holds until `right` does.
     """
     if interval is None:
         return _until_the_end(left, right)
@@ -53,7 +55,10 @@ def _until_the_end(left: FloatArray, right: FloatArray) -> FloatArray:
 
 
 def _least_ahead(values: FloatArray, begin: int, end: int) -> FloatArray:
-    """Smallest of the values that are `begin` to `end` steps ahead of each value; inf beyond the last."""
+    """Return the smallest of the values that are `begin` to `end` steps ahead of each value.
+
+    It is inf beyond the last value.
+    """
     count = len(values)
     padded = np.full(count + end + 1, np.inf)
     padded[:count] = values
@@ -66,7 +71,7 @@ def _least_ahead(values: FloatArray, begin: int, end: int) -> FloatArray:
 def _even_grid(interval: tuple[float, float], time: FloatArray) -> tuple[IntArray, IntArray, int, int]:
     """Map the instants to an even grid of times, and convert the interval to steps of this grid.
 
-    Returns the instant of each grid point, the grid point of each instant, and first and last step of the interval.
+    Return the instant of each grid point, the grid point of each instant, and the first and last step of the interval.
     """
     count = len(time)
     span = float(time[-1] - time[0])
@@ -78,8 +83,8 @@ def _even_grid(interval: tuple[float, float], time: FloatArray) -> tuple[IntArra
         step = float(np.diff(time).min())
         if span / step > _MAX_GRID_SIZE:
             raise InputError(
-                f"The recording has instants {step:g} s apart in {span:g} s, which is too uneven for intervals of an"
-                " expression; give it even steps."
+                f"The time steps of the recording are too uneven for intervals of an expression: the shortest has"
+                f" {step:g} s, in {span:g} s in all; resample the recording with even steps."
             )
         index = np.ceil((time - time[0]) / step - _STEP_TOLERANCE).astype(np.intp)
         source = np.searchsorted(index, np.arange(index[-1] + 1), side="right") - 1

@@ -1,4 +1,4 @@
-"""Units of numbers in expressions."""
+"""Units of numbers in logical expressions, and their conversion."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ _UNITS: Final = MappingProxyType(
 
 
 def normalize_unit(unit: str) -> str:
-    """Normalize the spelling of a unit: ``²`` replaces ``^2`` and a 2 at the end."""
+    """Return the normalized spelling of a unit: ``²`` replaces ``^2`` and a 2 at the end."""
     plain = unit.replace("^2", "²")
     return plain[:-1] + "²" if plain in ("m/s2", "s2") else plain
 
 
 def convert_to_unit(number: float, from_unit: str, to_unit: str) -> float:
-    """Convert a number to the unit `to_unit` of a signal. An empty `from_unit` means that it has this unit already.
+    """Convert a number to the unit `to_unit`. An empty `from_unit` means that the number has this unit already.
 
     Raises InputError, which names the units that fit, if `from_unit` is unknown or measures another quantity.
     """
@@ -58,5 +58,5 @@ def convert_to_unit(number: float, from_unit: str, to_unit: str) -> float:
 
 
 def is_known_unit(text: str) -> bool:
-    """Whether `text` is the name of a known unit."""
+    """Return whether `text` is the name of a known unit."""
     return normalize_unit(text) in _UNITS
