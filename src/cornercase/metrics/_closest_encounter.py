@@ -1,4 +1,4 @@
-"""Closest encounter: the smallest gap if both entities go straight on, and when it occurs."""
+"""Metrics of the closest encounter: the smallest gap if both entities go straight on, and when it occurs."""
 
 from __future__ import annotations
 

@@ -221,8 +221,8 @@ class _Evaluator:
             inner = self.at_instants(node.operands[0], negated, sign * np.inf, in_time=True)
             return sign * always(sign * inner, node.interval, self.time)
         values = [
-            self.at_instants(operand, sign, undefined_value, in_time)
-            for operand, sign in zip(node.operands, _operand_signs(node, negated), strict=True)
+            self.at_instants(operand, is_negated, undefined_value, in_time)
+            for operand, is_negated in zip(node.operands, _operand_signs(node, negated), strict=True)
         ]
         return np.asarray(_combination(node, negated).reduce(values))
 

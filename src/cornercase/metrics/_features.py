@@ -255,7 +255,10 @@ class SlowestInstant(FeatureGroup):
 
 
 class EgoTurn(FeatureGroup):
-    """State when the ego turns fastest, and when its heading first differs by 0.05 rad from the initial heading."""
+    """State at the instant at which the ego turns fastest, and when it begins to turn.
+
+    A turn begins when the heading first differs by more than 0.05 rad from the initial heading.
+    """
 
     name = "turn"
     features = (

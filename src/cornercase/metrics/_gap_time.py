@@ -1,4 +1,4 @@
-"""Gap time: difference of the times at which both entities reach the crossing of their tracks."""
+"""Metrics of the gap time: difference of the times at which both entities reach the crossing of their tracks."""
 
 from __future__ import annotations
 

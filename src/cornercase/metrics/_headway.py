@@ -11,7 +11,7 @@ from cornercase.recordings import Recording
 
 
 class Headway(Metric):
-    """Distance that the ego could go straight on until its box touches that of the other entity.
+    """Distance that the ego could go straight on until its box touches the box of the other entity.
 
     For one car behind another on one lane this is the gap from front to rear bumper, in m. It depends on positions and
     headings only, and is 0 if the boxes touch. Not defined if the other entity is beside or behind the ego, or one of

@@ -1,4 +1,4 @@
-"""Measure metrics on one recording."""
+"""Measurement of metrics on one recording."""
 
 from __future__ import annotations
 

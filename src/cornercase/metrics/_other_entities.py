@@ -44,8 +44,7 @@ def resolve_others(other: object, ego: str, entity_names: Sequence[str]) -> tupl
 def present_others(recording: Recording, others: Sequence[str]) -> tuple[str, ...]:
     """Return the entities among `others` that exist at any instant of the recording, in the same order.
 
-    The result is never empty. If none of the entities exists, it is the first one that has a row in the recording, or
-    else the first of `others`.
+    If none of them exists, return the first of `others` that is named in the recording, or else the first of `others`.
     """
     recorded = [name for name in others if name in recording.names]
     present = [name for name in recorded if np.isfinite(recording.x[recording.entity_index(name)]).any()]

@@ -1,4 +1,4 @@
-"""Post-encroachment time and encroachment time, from the recorded motion."""
+"""Metrics post-encroachment time and encroachment time, from the recorded motion."""
 
 from __future__ import annotations
 

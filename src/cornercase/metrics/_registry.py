@@ -1,4 +1,4 @@
-"""Metrics by name."""
+"""Registry of criticality metrics by name."""
 
 from __future__ import annotations
 

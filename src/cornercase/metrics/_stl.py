@@ -1,4 +1,4 @@
-"""Robustness of a formula of signal temporal logic (STL)."""
+"""Metric of the robustness of a formula of signal temporal logic (STL)."""
 
 from __future__ import annotations
 

@@ -81,7 +81,10 @@ class Ttc(Metric):
 
 
 class _StraightMotion:
-    """Straight motion of one entity, predicted from each instant; a constant acceleration ends when it stands."""
+    """Straight motion of one entity, predicted from each instant.
+
+    The acceleration is constant until the entity stands.
+    """
 
     def __init__(self, recording: Recording, name: str) -> None:
         i = recording.entity_index(name)

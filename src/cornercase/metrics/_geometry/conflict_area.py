@@ -142,7 +142,7 @@ class _SweptArea:
 
 
 def _find_overlapping_steps(a: _SweptArea, b: _SweptArea) -> OverlapRuns:
-    """Find which steps of `a` overlap which steps of `b`."""
+    """Find which steps of the swept area `a` overlap which steps of the swept area `b`."""
     bounds = np.empty((len(b.corners), 4))
     compute_hull_bounds(b.corners, bounds)
     overlap_runs = find_overlapping_hulls(

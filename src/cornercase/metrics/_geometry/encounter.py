@@ -17,7 +17,7 @@ NEVER_MET_DISTANCE: Final = 100.0
 _COARSE: Final = 64
 """Number of instants of each path in the first, coarse search."""
 
-_METRES_PER_SECOND: Final = 0.1
+_TIME_WEIGHT: Final = 0.1
 """Weight in m/s of the time between both entities, added to the distance of their paths."""
 
 
@@ -220,5 +220,5 @@ class Encounter:
         a, b, time = self.ego_center[ego_instants], self.other_center[other_instants], self.recording.time
         distance = np.hypot(a[:, :1] - b[:, 0], a[:, 1:] - b[:, 1])
         delay = np.abs(time[ego_instants][:, None] - time[other_instants])
-        i, j = np.unravel_index(int(np.argmin(distance + _METRES_PER_SECOND * delay)), distance.shape)
+        i, j = np.unravel_index(int(np.argmin(distance + _TIME_WEIGHT * delay)), distance.shape)
         return int(i), int(j), float(distance[i, j])

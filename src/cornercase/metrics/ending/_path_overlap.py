@@ -123,7 +123,7 @@ def _bounding_boxes_are_disjoint(poses_a, size_a, poses_b, size_b):
 
 @kernel(error_model="numpy")
 def _bounds_of_centres(poses):
-    """Return the centres of a path as boxes without extent, for a tree."""
+    """Return the bounds of the centres of a path, for a bounding-box tree: boxes without extent."""
     bounds = np.empty((poses.shape[1], 4))
     for i in range(len(bounds)):
         for k in range(2):

@@ -103,7 +103,7 @@ class EgoCollides:
 
 @dataclass(frozen=True)
 class ReferenceCollides:
-    """Statement that the ego would collide if the reference driver `driver` drove it."""
+    """Statement that the ego would collide if the reference driver named `driver` drove the ego."""
 
     driver: str
 

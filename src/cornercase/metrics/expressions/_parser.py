@@ -353,7 +353,7 @@ class _Parser:
         return operation
 
     def _compare_scores(self, node: Node) -> Node:
-        """Replace metrics by their scores, except inside temporal operators."""
+        """Return a condition in which metrics outside of temporal operators are replaced by their scores."""
         if isinstance(node, Operation):
             if node.operator in TEMPORAL:
                 return node

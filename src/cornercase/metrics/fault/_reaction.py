@@ -134,7 +134,10 @@ def find_latest_braking(party: Party, partner: Party, contact: float) -> float |
 
 
 def _instants_before(party: Party, partner: Party, contact: float) -> FloatArray:
-    """Return the instants in s before the contact at which both parties are recorded, the latest first."""
+    """Return instants in s before the contact, the latest first.
+
+    They are the instants in steps of 0.1 s in the last 8 s, as far as both parties are recorded.
+    """
     begin = max(float(party.time[0]), float(partner.time[0]), contact - _LOOK_BACK)
     return contact - _STEP * np.arange(1, max(int((contact - begin) / _STEP + 1e-6), 0) + 1)
 
