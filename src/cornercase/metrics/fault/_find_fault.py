@@ -23,7 +23,7 @@ from cornercase.roads._network import RoadNetwork
 _SAME_DIRECTION: Final = np.pi / 4.0
 _ONCOMING: Final = 3.0 * np.pi / 4.0
 _LEFT_LINE: Final = 0.3
-"""Distance in m from which an entity left its line: drivers wander by up to 0.375 m in the regulation's model."""
+"""Shift in m from which an entity has left its line; in the model of UN Regulation 157, drivers wander by 0.375 m."""
 
 _AT_ONCE: Final = 0.25
 """Difference in s below which two parties count as coming into each other's path at the same time."""
