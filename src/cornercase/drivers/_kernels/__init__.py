@@ -1,1 +1,1 @@
-"""Compiled parts of the built-in driver."""
+"""Compiled functions of drivers: what they see, predict and decide, and where points are along paths."""

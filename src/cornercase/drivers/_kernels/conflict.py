@@ -19,11 +19,12 @@ _TOLERANCE = 1e-6
 
 @plain_kernel
 def contact_interval(samples, row, ego, margin, other, horizon):
-    """Return first and last contact in s, and the leg of the first, if the driven entity were at a path sample.
+    """Return first and last contact in s, and the leg of the first, if the driven entity stood at a path sample.
 
-    `ego` is (half length, half width) in m, and `margin` is added on either side. `other` is (legs, half length, half
-    width, speed). With horizon 0, the other entity stands still. Without contact, the result is (inf, -inf, 0). By the
-    separating axis theorem, the boxes overlap while their projections on all four axes overlap.
+    A leg is a straight piece of the other entity's predicted motion. `ego` is (half length, half width) in m, and
+    `margin` is added on either side. `other` is (legs, half length, half width, speed). With horizon 0, the other
+    entity stands still. Without contact, the result is (inf, -inf, 0). By the separating axis theorem, the boxes
+    overlap while their projections on all four axes overlap.
     """
     legs = other[0]
     own_length, own_width = ego[0], ego[1] + margin
@@ -118,9 +119,9 @@ def _contact_interval_on_leg(samples, row, own_length, own_width, other, leg, ho
 
 @inline_kernel
 def _clip_to_overlap(first, last, offset, radius, rate):
-    """Clip a time interval to the times at which a point is within `radius` of 0.
+    """Clip a time interval to the times at which a point on an axis is within `radius` of 0.
 
-    It starts at `offset` and moves at `rate`.
+    The point starts at `offset` and moves at `rate`.
     """
     first_crossing, second_crossing = (-radius - offset) / rate, (radius - offset) / rate
     is_still = abs(rate) < 1e-9
@@ -152,9 +153,9 @@ def _boxes_overlap_now(samples, row, own_length, own_width, other):
 
 @plain_kernel
 def find_first_contact_row(samples, max_spacing, ego, margin, other, horizon, lookahead=None):
-    """Return the row of the first path sample ahead at which the boxes touch; -1 if there is none.
+    """Return the index of the first path sample ahead at which the boxes touch; -1 if there is none.
 
-    Row 0 is skipped. `max_spacing` is the largest distance in m between the centres at consecutive samples. If
+    Sample 0 is skipped. `max_spacing` is the largest distance in m between the centres at consecutive samples. If
     `lookahead` is given, samples are computed when they are needed.
     """
     k, count, until = 0, len(samples), -1
@@ -178,9 +179,9 @@ def find_first_contact_row(samples, max_spacing, ego, margin, other, horizon, lo
 
 @inline_kernel
 def next_candidate_rows(lookahead, first_row, margin, other, min_time, horizon):
-    """Return first and last row of the next samples at which contact is possible, and compute the first of them.
+    """Return the indices of the first and last of the next path samples with possible contact; compute the first one.
 
-    Contacts that end before `min_time` (s) are ignored. If the first row is past the end of the path, there is no
+    Contacts that end before `min_time` (s) are ignored. If the first index is past the end of the path, there is no
     contact.
     """
     straight = int(lookahead.points[lookahead.first_point + first_row, 5])
@@ -254,9 +255,9 @@ def _straight_contact_range(samples, row, ego, margin, other, min_time, horizon,
 
 @inline_kernel
 def _swept_distance(legs, leg, speed, start, end):
-    """Return the distance in m that the other covers on a leg until `start`, and half of that until `end`.
+    """Return the distance in m that an entity covers on a leg until `start`, and half its distance from there to `end`.
 
-    The second distance is counted from `start`.
+    `start` and `end` are times in s.
     """
     from_then = max(legs[leg, 4], start)
     return speed * (from_then - legs[leg, 4]), 0.5 * speed * max(end - from_then, 0.0)
@@ -264,7 +265,10 @@ def _swept_distance(legs, leg, speed, start, end):
 
 @inline_kernel
 def _clip_range(first, last, rate, center, radius):
-    """Clip a range of distances to where a projection is within `radius` of `center`; it grows by `rate` per metre."""
+    """Clip a range of distances to the part in which a projection is within `radius` of `center`.
+
+    The projection grows by `rate` per metre.
+    """
     if abs(rate) < 1e-9:
         # Hardly any motion on this axis: add a tolerance.
         return (first, last) if abs(center) <= radius + _TOLERANCE else (math.inf, -math.inf)

@@ -37,8 +37,8 @@ from cornercase.drivers.vehicles._kernels.actuators import change_speed
 def compute_acceleration(fleet, driver, scenario, route, time, time_step, driven, others, buffers):
     """Return the acceleration in m/s² that a driver chooses in one scenario, and update the driver's memory.
 
-    `driver` is the row of a compiled driver; `route` comes from `find_route_row`. `others` (4, A) is x, y, heading and
-    speed, NaN if an entity does not exist or is not visible.
+    `driver` is the index of a compiled driver in the fleet. `route` comes from `find_route_row`. `others` (4, A) is x,
+    y, heading and speed of A other entities, NaN if an entity does not exist or is not visible.
     """
     arguments = (fleet, driver, scenario, route, time, time_step, driven, others, buffers)
     if fleet.kind[driver] == SIMPLE:
@@ -48,7 +48,7 @@ def compute_acceleration(fleet, driver, scenario, route, time, time_step, driven
 
 @inline_kernel
 def change_vehicle_speed(fleet, driver, scenario, speed, acceleration, request, time_step):
-    """Return the speed in m/s after a time step of an entity with actuators, whose driver requests an acceleration."""
+    """Return the speed in m/s after a time step of an entity with actuators; `request` is the driver's in m/s²."""
     row, friction = fleet.first_vehicle[driver] + scenario, fleet.friction[scenario]
     return change_speed(fleet.vehicles, row, speed, acceleration, request, friction, time_step)
 
@@ -95,7 +95,7 @@ def _driver_scene(fleet, driver, scenario, time, time_step, driven, others):
 
 @plain_kernel
 def find_route_row(fleet, driver, track, scenario):
-    """Return the row of a driver's route along a track in a scenario; -1 if `set_route` has not planned it."""
+    """Return the row in `Routes` of a driver's route along path number `track`; -1 if no route is planned."""
     if fleet.kind[driver] != BEHAVIOUR:
         return 0
     routes = fleet.routes
@@ -130,10 +130,10 @@ DECISION_INPUTS: Final = (
 
 @kernel(error_model="numpy")
 def compute_accelerations(fleet, driver, track, time, time_step, driven, others, active):
-    """Return the acceleration in m/s² of a driver of a fleet in each scenario, shape (N,); 0 if not active.
+    """Return the acceleration in m/s² of a driver of a fleet in each of N scenarios, (N,); 0 if not `active`.
 
-    `driven` (N, 6) has the fields of `DrivenState`. `others` has shape (N, 4, A), as in `compute_acceleration`. Call
-    `link_drivers` before.
+    `track` is the number of the path. `driven` (N, 6) has the fields of `DrivenState`. `others` has shape (N, 4, A), as
+    in `compute_acceleration`. Call `link_drivers` before.
     """
     result, work = np.zeros(len(active)), make_workspace(others.shape[2])
     _fill_accelerations(

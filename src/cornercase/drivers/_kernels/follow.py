@@ -1,4 +1,4 @@
-"""Kernel of the simple driver, which keeps its speed and its distance."""
+"""Compiled decision of the simple driver, which keeps its speed and its distance."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -24,7 +24,7 @@ from cornercase.drivers._kernels.structs import (
 def follow_with_idm(parameters, scene):
     """Return the acceleration in m/s² of the simple driver, and update its memory.
 
-    It brakes only for entities straight ahead, by the Intelligent Driver Model.
+    The driver brakes only for entities straight ahead, by the Intelligent Driver Model.
     """
     v, target_speed, memory, time_step = scene.driven.speed, scene.driven.target_speed, scene.memory, scene.time_step
     if not math.isfinite(target_speed):
@@ -54,7 +54,7 @@ def follow_with_idm(parameters, scene):
 
 @plain_kernel
 def _gap_and_closing_speed(scene, other, sight_range):
-    """Return the gap in m to another entity, infinite if it is not in the lane ahead, and the closing speed."""
+    """Return gap in m and closing speed in m/s to another entity; the gap is infinite if it is not straight ahead."""
     own_box, boxes, others, driven, cos, sin = scene.own, scene.boxes, scene.others, scene.driven, scene.cos, scene.sin
     heading = others[HEADING, other]
     if math.isnan(others[X, other]) or math.isnan(heading):

@@ -47,12 +47,12 @@ ALIGNED_COSINE: Final = 0.7
 CUT_IN_TIME: Final = 2.0
 """Time in s for which lateral motion of entities that move along the route is predicted.
 
-The driver already follows one of the same direction that will cut in within this time. An oncoming one only matters
-if it is in the corridor or will be within this time: seen from a bend, all oncoming traffic seems to cross.
+The driver already follows an entity of the same direction that will cut in within this time. An oncoming entity only
+matters if it is in the corridor or will be within this time: seen from a bend, all oncoming traffic seems to cross.
 """
 
 LANE_MARGIN: Final = 2.0
-"""Largest lateral distance of such an entity from the corridor, in m."""
+"""Largest lateral distance in m from the corridor at which an entity counts as cutting in."""
 
 ROADSIDE_DISTANCE: Final = 1.5
 """Distance from the corridor in m within which a standing pedestrian or cyclist is passed with caution."""
@@ -69,15 +69,15 @@ NARROW_GAP: Final = 0.25
 RELEASE_FACTOR: Final = 1.25
 """Multiple of the safety time at which yielding ends (hysteresis)."""
 
-# Closer comparisons, relatively, are repeated exactly.
+# Comparisons with a smaller relative difference are repeated exactly.
 _TOLERANCE = 1e-9
 
 
 @inline_kernel
 def plan_acceleration(behaviour, routes, route, scene, buffers):
-    """Return the acceleration in m/s² that the built-in driver wants in one scenario, before vehicle limits.
+    """Return the acceleration in m/s² that the built-in driver wants in one scenario, before limits of the vehicle.
 
-    Also updates in the scene which entities are in conflict with the driver, and which ones it yields to.
+    Also updates, in `scene`, since when entities have been in conflict with the driver, and to which it yields.
     """
     driven, boxes, memory, awareness = scene.driven, scene.boxes, scene.memory, scene.awareness
     v = max(driven.speed, 0.0)
@@ -97,7 +97,7 @@ def plan_acceleration(behaviour, routes, route, scene, buffers):
         count = predict_legs(memory, o, direction[0], direction[1], boxes[CENTER_X, o], behaviour.horizon, buffers.legs)
         other = (buffers.legs[:count], boxes[HALF_LENGTH, o], boxes[HALF_WIDTH, o], memory[SPEED, o])
         vulnerable, yielding = boxes[VULNERABLE, o] > 0.0, awareness[YIELDING, o]
-        # For an entity it does not know yet, only the conflict matters.
+        # For an entity that the driver does not know yet, only the conflict matters.
         lowest = a if awareness[KNOWN, o] else -math.inf
         limit, conflict = _react_to_other(behaviour, scene.time_step, lookahead, other, vulnerable, yielding, lowest)
         if conflict:
@@ -131,8 +131,8 @@ def _free_acceleration(behaviour, routes, route, scene, speed, target_speed):
 def _react_to_other(behaviour, time_step, lookahead, other, is_vulnerable, is_yielding, lowest_so_far):
     """Return the acceleration that one other entity allows, and whether the driver must yield to it.
 
-    The result is ``(inf, False)`` if the other entity does not matter. If the limit does not lower `lowest_so_far`, its
-    exact value may be skipped.
+    The result is ``(inf, False)`` if the other entity does not matter. An acceleration that is not below
+    `lowest_so_far` has no effect, and may be inexact.
     """
     legs, half_length, half_width, speed = other
     samples, ego = lookahead.samples, lookahead.ego
@@ -145,7 +145,7 @@ def _react_to_other(behaviour, time_step, lookahead, other, is_vulnerable, is_yi
         if contact_interval(samples, 0, ego, 0.0, other, 0.0)[0] <= 0.0:
             in_front = dx * samples[0, 3] + dy * samples[0, 4] > 0.0
             return (-behaviour.max_deceleration if in_front else math.inf), False
-        # Drop the margin if the other is already within it.
+        # Drop the margin if the other entity is already within it.
         margin = 0.0
 
     standing = abs(speed) < STANDING_SPEED
@@ -224,11 +224,11 @@ def _yield_acceleration(behaviour, time_step, lookahead, margin, other, is_in_co
 
 @plain_kernel
 def _find_conflict(behaviour, lookahead, margin, other, gap_if_first, gap_if_after, is_too_late):
-    """Find the first path sample that both entities reach within the time gaps.
+    """Find the first sample of the path ahead that the driver and the other entity pass with too small a time gap.
 
-    Returns the row where the conflict zone begins, and the row of the sample; both -1 without conflict. `gap_if_first`
-    and `gap_if_after` are the required gaps in s if the driver passes first or second. If `is_too_late` to decide, the
-    driver expects entities that come from behind in its own direction to brake.
+    Returns the index of the sample where the conflict zone begins, and the index of the found sample; both are -1
+    without conflict. `gap_if_first` and `gap_if_after` are the required gaps in s if the driver passes first or second.
+    If `is_too_late` to decide, the driver expects entities from behind in its own direction to brake.
     """
     k, until, samples, ego, horizon, earliest = 0, -1, lookahead.samples, lookahead.ego, behaviour.horizon, 0.0
     while k + 1 < lookahead.rows:
@@ -268,7 +268,7 @@ def _find_conflict(behaviour, lookahead, margin, other, gap_if_first, gap_if_aft
 
 @inline_kernel
 def _first_row_of_conflict_zone(lookahead, row, margin, other, horizon):
-    """Return the first row of the conflict zone that contains a row."""
+    """Return the index of the first path sample of the conflict zone that contains sample `row`."""
     while row > 1:
         compute_sample(lookahead, row - 1)
         if contact_interval(lookahead.samples, row - 1, lookahead.ego, margin, other, horizon)[0] == math.inf:
@@ -307,7 +307,7 @@ def _idm_interaction(behaviour, speed, gap, leader_speed):
 
 @inline_kernel
 def _stopping_deceleration(speed, distance):
-    """Return the deceleration that stops within a distance in m."""
+    """Return the deceleration in m/s² that stops within a distance in m."""
     if speed <= 0.0:
         return 0.0
     return speed * speed / (2.0 * distance) if distance > 0.0 else math.inf
@@ -315,7 +315,7 @@ def _stopping_deceleration(speed, distance):
 
 @inline_kernel
 def _direction_cosine(samples, row, other, leg):
-    """Return the cosine of the angle between the route and the motion of the other entity on a leg."""
+    """Return the cosine of the angle between the route at a sample and the other entity's motion on a leg."""
     cosine = samples[row, 3] * other[0][leg, 2] + samples[row, 4] * other[0][leg, 3]
     return cosine if other[3] >= 0.0 else -cosine
 
@@ -328,7 +328,7 @@ def _speed_along_route(samples, row, other):
 
 @plain_kernel
 def _refine_contact_distance(lookahead, row, margin, other, horizon):
-    """Return the distance in m at which contact begins, between a row with contact and the row before."""
+    """Return the distance in m at which contact begins, between path sample `row` and the sample before."""
     samples, ego, between = lookahead.samples, lookahead.ego, lookahead.interpolated
     compute_sample(lookahead, row - 1)
     low, high = 0.0, 1.0

@@ -1,4 +1,4 @@
-"""What a driven entity sees: others along its path and in its own axes."""
+"""View of a driven entity on other entities: along its path, and in its own axes."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -13,7 +13,7 @@ from cornercase._common.numba.kernel import kernel
 from cornercase.drivers._kernels.path_projection import project_point, project_point_nearby
 
 X, Y, TURN, GAP, CLOSING, LATERAL, IN_PATH, ALONG = range(8)
-"""Columns of what is seen of an object, as in `ObjectView`; `ALONG` is the distance along the path in m."""
+"""Columns of the view of an object, as in `ObjectView`; `ALONG` is the distance along the path in m."""
 N_COLUMNS: Final = 8
 NO_LEADER: Final = -1
 
@@ -24,12 +24,13 @@ def look(
     own_distance, x, y, heading, speed, others_x, others_y, others_heading, others_speed, others_boxes,
     active, own, objects, leader,
 ):  # fmt: skip
-    """Fill in what is seen in N scenarios: `own` (N, 3), `objects` (N, A, 8) and `leader` (N,).
+    """Fill in what the ego sees of A objects in N scenarios: `own` (N, 3), `objects` (N, A, 8) and `leader` (N,).
 
-    Where `active` (N,) is False, nothing is seen: numbers are NaN.
+    In scenarios that are not `active` (N,), nothing is seen: numbers are NaN.
 
-    A path has arrays (1, P) or (N, P). `box` and `others_boxes` (3, A) are lengths, widths and centres. `own` is along,
-    offset and direction of the path there. A leader is the index of the nearest object ahead in the path.
+    The arrays of the path have shape (1, P) or (N, P). `box` (3,) and `others_boxes` (3, A) are length, width and
+    centre in m. `own` is the ego's distance along the path, offset to the left, and direction of the path there.
+    Columns of `objects` are `X` to `ALONG`. `leader` is the index of the nearest object ahead in the path.
     """
     length, width, center = box
     for n in range(x.shape[0]):

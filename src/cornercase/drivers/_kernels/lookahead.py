@@ -1,4 +1,4 @@
-"""Path of the driven entity ahead; samples and arrival times are computed on demand."""
+"""Path ahead of a driven entity, whose samples and arrival times are computed on demand."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -23,7 +23,7 @@ _TOLERANCE: Final = 1e-9
 
 
 class LookaheadPath(NamedTuple):
-    """The path ahead of a driven entity.
+    """Path ahead of a driven entity, as samples along its route.
 
     Row 0 of `samples` is the entity itself; the other rows are the next samples of the route. Call `compute_sample`
     before you read a row. `rows` is the number of rows. `max_spacing` is the largest distance in m between the centres
@@ -89,7 +89,7 @@ def build_lookahead(behaviour, routes, route, scene, speed, target_speed, buffer
 
 @inline_kernel
 def compute_sample(lookahead, row):
-    """Compute a row of the samples, except for the arrival time."""
+    """Fill in sample `row` of the path ahead, except for the arrival time."""
     if row == 0:
         return
     samples, points, at = lookahead.samples, lookahead.points, lookahead.first_point + row
@@ -102,7 +102,7 @@ def compute_sample(lookahead, row):
 
 @inline_kernel
 def distance_to(lookahead, row):
-    """Return the distance in m along the route from the driven entity to a sample."""
+    """Return the distance in m along the route from the driven entity to sample `row`."""
     return (lookahead.first_index + row) * lookahead.step - lookahead.distance if row > 0 else 0.0
 
 

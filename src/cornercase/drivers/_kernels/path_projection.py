@@ -1,4 +1,4 @@
-"""Project points onto the path of a driven entity."""
+"""Projection of points onto the path of a driven entity."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -14,16 +14,17 @@ from cornercase._common.numba.kernel import kernel
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.drivers._base import DrivenPath
 
-# m along the path, from the driven entity, in which the nearest point is searched.
+# m along the path behind and ahead of the driven entity; the nearest point is searched in between.
 _BEHIND: Final = 100.0
 _AHEAD: Final = 300.0
 NEARBY: Final = 5.0
 """Distance in m up to which a path counts as near a point."""
 
-# Samples on either side of the middle of a block, and of a part of it, which is searched as a whole or not at all.
+# Samples on either side of the middle of a block of the path, and of a part of a block. Blocks and parts are searched
+# as a whole or not at all.
 _HALF_BLOCK: Final = 64
 _HALF_PART: Final = 4
-# Samples beside the one where evenly spaced samples have a distance.
+# Samples on either side of the index that a distance would have if samples were evenly spaced.
 _NEAR_GUESS: Final = 2
 
 
@@ -32,9 +33,10 @@ def project_onto_path(
 ) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
     """Project points onto a path: return distance along the path, offset to the left, and the path's direction there.
 
-    All arrays except `own_distance` (N,) have the shape (N, A). The fourth array tells which points are next to the
-    part of the path from 100 m behind to 300 m ahead of `own_distance`; other points are projected onto the straight
-    line beyond the nearer end of this part. Results are NaN for points that are NaN.
+    All arrays except `own_distance` (N,) have the shape (N, A): A points in each of N scenarios, in m and rad. The
+    fourth result is True for points next to the part of the path from 100 m behind to 300 m ahead of `own_distance`.
+    Other points are projected onto the straight line beyond the nearer end of this part. Results are NaN for points
+    that are NaN.
     """
     shape = np.shape(x)
     along, offset, direction = np.empty(shape), np.empty(shape), np.empty(shape)
@@ -55,7 +57,10 @@ def _project(distance, path_x, path_y, heading, max_chord, own, x, y, along, off
 
 @kernel(interpreted_seconds=lambda *arguments: 1e-4 * len(arguments[-1]), error_model="numpy")
 def locate_vehicles(distance, path_x, path_y, heading, max_chord, curvature, own, x, y, ahead):
-    """Return `project_point_nearby` of N vehicles, and the curvature `ahead` m (N,) further on, shape (N, 4)."""
+    """Return where N vehicles are on a path, shape (N, 4).
+
+    Columns: distance along the path, offset to the left, direction there, and curvature `ahead` m (N,) farther on.
+    """
     result = np.empty((x.size, 4))
     for n in range(x.size):
         row = n if distance.shape[0] > 1 else 0
@@ -67,7 +72,7 @@ def locate_vehicles(distance, path_x, path_y, heading, max_chord, curvature, own
 
 @kernel(error_model="numpy", _nrt=False)
 def interpolate_on_path(distance, values, at):
-    """Return a quantity of a path's samples at a distance; beyond an end, that of its last sample."""
+    """Interpolate `values` at the samples of a path at a distance in m; beyond an end, return the value at this end."""
     last = distance.size - 1
     if not at < distance[last]:
         return values[last]
@@ -80,8 +85,8 @@ def interpolate_on_path(distance, values, at):
 def project_point(distance, path_x, path_y, heading, max_chord, own_distance, x, y):
     """Project a point onto a path: return distance along the path, offset to the left, and the path's direction there.
 
-    The fourth result tells whether the point is next to the part of the path from 100 m behind to 300 m ahead of
-    `own_distance`; otherwise the point is projected onto the straight line beyond the nearer end of this part.
+    The fourth result is True if the point is next to the part of the path from 100 m behind to 300 m ahead of
+    `own_distance`. Otherwise the point is projected onto the straight line beyond the nearer end of this part.
     `max_chord` is the largest distance in m between consecutive samples.
     """
     if not (math.isfinite(x) and math.isfinite(y)):
@@ -140,16 +145,19 @@ def _find_nearest_sample(path_x, path_y, max_chord, first, last, x, y):
 
 @kernel(error_model="numpy", _nrt=False, forceinline=True)
 def _square_beyond(squared_gap, reach):
-    """Return a squared gap in m² beyond which no sample within `reach` m can have a smaller one than `squared_gap`."""
+    """Return a limit in m² for skipping the samples within `reach` m of a sample.
+
+    If the squared gap of that sample is above the limit, no sample around it is nearer than `squared_gap`.
+    """
     limit = math.sqrt(squared_gap) + reach
     return (1.0 + 1e-9) * limit * limit
 
 
 @kernel(error_model="numpy", _nrt=False)
 def project_point_nearby(distance, path_x, path_y, heading, max_chord, own_distance, x, y):
-    """Return the same as `project_point`, but of the pass of the path near `own_distance`, if it is near the point.
+    """Project a point as `project_point` does, but onto the path near `own_distance` if that is near the point.
 
-    So a vehicle does not change to another branch where its path crosses itself.
+    So a vehicle does not change to another branch if its path crosses itself.
     """
     k = find_sample_nearby(path_x, path_y, _find_first_from(distance, own_distance), x, y)
     if not _squared_gap(path_x, path_y, k, x, y) < NEARBY * NEARBY:
@@ -159,7 +167,7 @@ def project_point_nearby(distance, path_x, path_y, heading, max_chord, own_dista
 
 @kernel(error_model="numpy", _nrt=False)
 def find_sample_nearby(path_x, path_y, start, x, y):
-    """Return the index of the sample of a path nearest to a point, as far as gaps shrink from sample `start` on."""
+    """Return the index of a path's sample nearest to a point; search from `start` on until gaps grow again."""
     last = path_x.size - 1
     k = min(max(start, 0), last)
     gap, step = _squared_gap(path_x, path_y, k, x, y), 1
@@ -180,7 +188,7 @@ def _squared_gap(path_x, path_y, k, x, y):
 
 @kernel(error_model="numpy", _nrt=False)
 def _project_onto_chords(distance, path_x, path_y, heading, first, last, nearest, x, y):
-    """Return where a point is along a path between samples `first` and `last`, on a chord beside sample `nearest`."""
+    """Project a point onto a chord next to sample `nearest` of a path from `first` to `last`, as `project_point`."""
     best = math.inf
     along, offset, direction, is_next_to = math.nan, math.nan, math.nan, False
     for k in range(max(nearest - 1, first), min(nearest + 1, last)):

@@ -27,7 +27,7 @@ MAX_STRAIGHT_TURN_RATE: Final = 0.05
 def predict_legs(memory, other, cos, sin, center_x, horizon, legs):
     """Predict the motion of another entity for `horizon` s; fill `legs`, and return the number of legs.
 
-    The entity is assumed to keep its turn rate for a while, and then to go straight. `cos` and `sin` are those of its
+    The entity is assumed to keep its turn rate for a while, and then to go straight. `cos` and `sin` belong to its
     heading; `center_x` is the centre of its box in m.
     """
     x, y, heading, speed, turn = (

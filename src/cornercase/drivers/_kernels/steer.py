@@ -13,8 +13,8 @@ import numpy as np
 from cornercase._common.numba.kernel import kernel
 from cornercase.drivers._kernels.structs import plain_kernel
 
-# A deviation decays to 1/e within this distance in m, or this time in s if that is longer; wheels that are late add to
-# the time.
+# A deviation decays to 1/e within this distance in m, or this time in s if that is longer; wheels that lag
+# behind add to the time.
 _DECAY_DISTANCE: Final = 2.0
 _DECAY_TIME: Final = 0.4
 _DECAY_PER_RESPONSE: Final = 2.0
@@ -26,7 +26,7 @@ _MIN_RADIUS_SHARE: Final = 0.1
 
 @plain_kernel
 def steering_angle(offset, turn, curvature, speed, wheelbase, response):
-    """Return the angle of the front wheels as in `steer_along_path`, for one pose on a path."""
+    """Return the angle of the front wheels in rad, as `steer_along_path` does, for one pose relative to a path."""
     decay = max(_DECAY_DISTANCE, (_DECAY_TIME + _DECAY_PER_RESPONSE * response) * abs(speed))
     # With the heading at its limit, the offset shrinks along a straight line.
     limit = 2.0 * decay * _MAX_APPROACH
@@ -42,7 +42,7 @@ def steering_angle(offset, turn, curvature, speed, wheelbase, response):
 
 @kernel(interpreted_seconds=lambda offset, *_: 5e-6 * offset.size, error_model="numpy")
 def steering_angles(offset, turn, curvature, speed, wheelbase, response):
-    """Return `steering_angle` of N poses; all arguments have shape (N,)."""
+    """Return the angles of the front wheels in rad for N poses relative to a path; all arguments have shape (N,)."""
     result = np.empty(offset.size)
     for n in range(offset.size):
         result[n] = steering_angle(offset[n], turn[n], curvature[n], speed[n], wheelbase[n], response[n])

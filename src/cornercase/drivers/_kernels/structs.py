@@ -11,7 +11,7 @@ from cornercase._common.numba.kernel import kernel
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.drivers.vehicles._kernels.actuators import Vehicles
 
-# These kernels allocate nothing: without reference counting, which would take longer than what they compute.
+# For kernels that allocate nothing: without reference counting, which would take longer than the computation.
 plain_kernel = kernel(error_model="numpy", _nrt=False)
 # For kernels that are called from one place, or are short.
 inline_kernel = kernel(error_model="numpy", _nrt=False, forceinline=True)
@@ -26,7 +26,7 @@ SIMPLE: Final = 1
 """Kind of `SimpleDriver`."""
 
 X, Y, HEADING, SPEED, TURN, FIRST_SEEN, LAST_SEEN, CONFLICT_SINCE, AHEAD_FOR = range(9)
-"""Rows of `Fleet.memory`; the first four also those of the others' true motion."""
+"""Rows of `Fleet.memory`; the first four are also the rows of the others' true motion."""
 
 NOTICED, KNOWN, YIELDING = range(3)
 """Rows of `Fleet.awareness`."""
@@ -36,14 +36,14 @@ HALF_LENGTH, HALF_WIDTH, CENTER_X, VULNERABLE = range(4)
 
 
 class Routes(NamedTuple):
-    """Planned routes of D drivers along G tracks: Q rows with M points in all.
+    """Planned routes of D drivers along G tracks (numbered paths), as Q rows with M points in all.
 
-    A driver's route along a track has one row if it is the same in all N scenarios, else one row per scenario, in
-    order. `row` (D, G): the first row of the route; -1 if none is planned. `rows` (D, G): number of rows of the route,
-    1 or N. `begin`, `samples` (Q,): first point of a row, and number of its points. `measures` (Q, 3): distance between
-    points in m, and `max_spacing` and `max_turn` of `Route`. `points` (M, 6): x and y in m, cosine and sine of the
-    heading, square of the highest speed in m²/s², and how many of the points after this one lie on a straight line
-    with it.
+    A route that is the same in all N scenarios has one row. Any other route has one row per scenario, in order.
+
+    `row` (D, G): the first row of the route; -1 if none is planned. `rows` (D, G): number of rows of the route, 1 or N.
+    `begin`, `samples` (Q,): first point of a row, and number of its points. `measures` (Q, 3): distance between points
+    in m, and `max_spacing` and `max_turn` of `Route`. `points` (M, 6): x and y in m, cosine and sine of the heading,
+    square of the highest speed in m²/s², and number of the next points that lie on a straight line.
     """
 
     row: IntArray
@@ -55,7 +55,9 @@ class Routes(NamedTuple):
 
 
 class Fleet(NamedTuple):
-    """D drivers in N scenarios. For each driver, the A others are all other entities, in order.
+    """State of D drivers in N scenarios, as arrays for kernels.
+
+    For each driver, the A others are all other entities, in order.
 
     `kind` (D,): `BEHAVIOUR`, `SIMPLE` or `NOT_COMPILED`. `parameters` (D, N, P): fields of a `Behaviour` or of
     `FollowParameters`. `own` (D, 3): half length, half width and centre of the driven box in m. `boxes` (D, 4, A): half
@@ -66,11 +68,11 @@ class Fleet(NamedTuple):
     `awareness` (D, N, 3, A): whether each other entity is noticed, known, and yielded to. `kernels` (2,): addresses of
     the kernels that decide, by kind.
 
-    `vehicles`: actuators of the driven entities that have some, N rows for each. `first_vehicle` (D,): the first of
-    these rows; -1 for an entity that does at once what its driver decides. `vehicle_kind` (D,): `ACTUATORS` and so on.
-    `vehicle_kernels` (3,): addresses of the kernels that move vehicles, by kind. `half_widths` (D, G): address of half
-    the width in m of the lane at each sample of a track that is a lane, for vehicles that steer; 0 if not known.
-    `friction` (N,): that of the road.
+    `vehicles`: vehicle models, N rows for each driver that has one. `first_vehicle` (D,): the first of these rows; -1
+    for an entity that does at once what its driver decides. `vehicle_kind` (D,): `ACTUATORS` and so on.
+    `vehicle_kernels` (3,): addresses of the kernels that move vehicles, by kind. `half_widths` (D, G): for vehicles
+    that steer along a lane, address of an array with half the lane width in m at each sample of a track; 0 if not
+    known. `friction` (N,): friction coefficient of the road.
     """
 
     kind: IntArray
@@ -92,8 +94,8 @@ class Fleet(NamedTuple):
 class DrivenState(NamedTuple):
     """State of the driven entity in one scenario, in m, rad and m/s.
 
-    `distance` is its position along the path; `x`, `y` and `heading` are those of its reference point. `target_speed`
-    is infinite or NaN if the scenario sets none.
+    `distance` is the position along the path; `x`, `y` and `heading` are the pose of the reference point.
+    `target_speed` is infinite or NaN if the scenario sets none.
     """
 
     distance: float
@@ -105,9 +107,9 @@ class DrivenState(NamedTuple):
 
 
 class DriverScene(NamedTuple):
-    """A driver in a scenario at one instant.
+    """State of a driver and the entities around it, in one scenario at one instant.
 
-    `cos` and `sin` are those of the driven entity's heading. `own` (3,), `boxes` (4, A), `memory` (9, A) and
+    `cos` and `sin` belong to the driven entity's heading. `own` (3,), `boxes` (4, A), `memory` (9, A) and
     `awareness` (3, A) are slices of the arrays in `Fleet`; decisions update `memory` and `awareness`. `others` (4, A):
     true x, y, heading and speed in m, rad and m/s, NaN if an entity does not exist or is not visible.
     """
@@ -125,14 +127,14 @@ class DriverScene(NamedTuple):
 
 
 class Workspace(NamedTuple):
-    """Buffers for decisions; their previous content has no effect on decisions.
+    """Buffers for the decisions of one thread; their previous content has no effect on decisions.
 
     `boxes` (A, 5): centres of the others' true boxes in m, cosine and sine of their headings, and the headings for
-    which these were computed. `seen` (A,): which others are seen. `samples` (K, 6): samples of the path ahead: distance
-    in m, centre of the box in m, cosine and sine of the heading, arrival time in s. `legs` (L, 6): predicted legs of
-    another entity: centre of the box in m, cosine and sine of the heading, start and end in s. `arrivals` (3,): last
-    row with known arrival time, squared speed there in m²/s², speed in m/s. `interpolated` (1, 6): a sample between two
-    others.
+    which these were computed. `seen` (A,): True for the others that the driver sees. `samples` (K, 6): samples of the
+    path ahead: distance in m, centre of the box in m, cosine and sine of the heading, arrival time in s. `legs` (L, 6):
+    predicted legs of another entity (straight pieces of its motion): centre of the box in m, cosine and sine of the
+    heading, start and end in s. `arrivals` (3,): last row with known arrival time, squared speed there in m²/s², speed
+    in m/s. `interpolated` (1, 6): a sample between two others.
     """
 
     boxes: FloatArray

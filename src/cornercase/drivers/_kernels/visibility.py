@@ -1,4 +1,4 @@
-"""Which entities a driver sees, and what it remembers of them."""
+"""Compiled perception of a driver: entities in sight, and memory of entities out of sight."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, no-untyped-call, untyped-decorator"
@@ -34,7 +34,7 @@ EYE_AHEAD = 0.25
 # Time constant in s of the perceived turn rate.
 TURN_RATE_TIME_CONSTANT = 0.2
 
-# Closer comparisons, relatively, are repeated exactly.
+# Comparisons with a smaller relative difference are repeated exactly.
 _TOLERANCE = 1e-9
 
 
@@ -47,7 +47,7 @@ def find_visible_others(
     field_of_view: float | FloatArray = 2.0 * math.pi,
     sight_range: float | FloatArray = math.inf,
 ) -> BoolArray:
-    """Return which of A other entities a driver sees in each of N scenes; ndarray of bool, shape (N, A).
+    """Return which of A other entities a driver sees in each of N scenarios; ndarray of bool, shape (N, A).
 
     The eye is ahead of the centre of the driver's box, by a quarter of its length. An entity is seen if at least one of
     five points of its box (centre and corners) is in range and in the field of view, and no third box blocks the line
@@ -84,11 +84,11 @@ def eye_pose(own, x, y, cos, sin):
 
 @inline_kernel
 def update_visible_others(field_of_view, sight_range, eye, boxes, others, placed_boxes, seen):
-    """Fill `seen` (A,) with the others that a driver sees in one scenario, and `placed_boxes` (A, 5) with their boxes.
+    """Update `seen` (A,), True for each of A other entities that a driver sees in one scenario, and `placed_boxes`.
 
-    `eye` comes from `eye_pose`. `boxes` and `others` are as in `DriverScene`. `placed_boxes` is as in
-    `Workspace.boxes`; a box out of range has a centre of NaN. Pass the same array in each step, filled with NaN at
-    first.
+    `eye` comes from `eye_pose`. `boxes` and `others` are as in `DriverScene`. `placed_boxes` (A, 5) has the boxes of
+    the others as in `Workspace.boxes`; the centre of a box out of range is NaN. Pass the same array in each step, and
+    fill it with NaN before the first.
     """
     eye_x, eye_y, cos, sin = eye
     count = others.shape[1]
@@ -103,7 +103,7 @@ def update_visible_others(field_of_view, sight_range, eye, boxes, others, placed
             placed_boxes[a, 0] = others[X, a] + boxes[CENTER_X, a] * placed_boxes[a, 2]
             placed_boxes[a, 1] = others[Y, a] + boxes[CENTER_X, a] * placed_boxes[a, 3]
         else:
-            # Out of range it is neither seen, nor does it hide anything within range.
+            # A box out of range is not seen, and hides nothing within range.
             placed_boxes[a, 0] = math.nan
     half_view = 0.5 * field_of_view
     edge = math.cos(half_view) if half_view < math.pi else -2.0
@@ -136,7 +136,7 @@ def update_visible_others(field_of_view, sight_range, eye, boxes, others, placed
 
 @inline_kernel
 def _is_in_view(along, across, to_x, to_y, sight_range, half_view, edge):
-    """Check range and field of view; square root and angle are computed only in borderline cases."""
+    """Check whether a point is in range and in the field of view; square root and angle only in borderline cases."""
     squared = to_x * to_x + to_y * to_y
     if squared > sight_range * sight_range * (1.0 + _TOLERANCE):
         return False
@@ -189,9 +189,9 @@ def _ray_hits_box(eye_x, eye_y, to_x, to_y, placed_boxes, box, half_length, half
 def update_perception(behaviour, scene, seen):
     """Update the memory and the awareness of a driver in one scenario, from the entities in sight.
 
-    An entity is known once it has been seen for the reaction time. While it is out of sight, the driver assumes that it
-    goes straight at its last speed, and forgets it after the memory time. If the driver sees it again before that, the
-    reaction time does not start again.
+    The driver knows an entity once it has seen the entity for the reaction time. The driver assumes that an entity out
+    of sight goes straight on at its last speed, and forgets the entity after the memory time. If the entity comes into
+    sight again before that, the reaction time does not start again.
     """
     time, time_step, others, memory, awareness = (
         scene.time, scene.time_step, scene.others, scene.memory, scene.awareness,
