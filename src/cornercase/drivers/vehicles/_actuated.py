@@ -1,4 +1,4 @@
-"""Vehicles whose actuators do late, slowly and within the friction of the road what a driver requests."""
+"""Vehicle models with actuators, which follow a driver's requests with delay, lag and limits."""
 
 # Kernels are declared as plain functions, without the methods of their dispatcher.
 # mypy: disable-error-code="attr-defined"
@@ -34,7 +34,7 @@ _PARAMETERS: Final = (
     *("max_speed", "max_steering", "wheelbase"),
 )
 _POSITIVE: Final = frozenset({"max_jerk", "mu", "max_steering_rate", "wheelbase"})
-# Beyond these, a step needs more memory or smaller parts than a vehicle does.
+# Allowed ranges of options; beyond them, a step would need too much memory or too small parts.
 _LIMITS: Final[dict[str, dict[str, float]]] = {
     "delay": {"minimum": 0.0, "maximum": 60.0},
     "steering_delay": {"minimum": 0.0, "maximum": 60.0},
@@ -51,11 +51,14 @@ _LIMITS: Final[dict[str, dict[str, float]]] = {
 
 
 class ActuatedVehicle(VehicleModel):
-    """Base class of vehicles with actuators; `parameter_names` are the options of a model's own."""
+    """Base class of vehicle models with actuators, which follow requests with delay, lag and limits.
+
+    `parameter_names` are the options that only the derived model has.
+    """
 
     parameter_names: ClassVar[tuple[str, ...]] = ()
     kind: ClassVar[int]
-    """Kind of vehicle of its kernels."""
+    """Number of the model, by which its kernels are chosen."""
 
     _vehicles: Vehicles
 
@@ -64,7 +67,7 @@ class ActuatedVehicle(VehicleModel):
         self._set(delay=delay, lag=lag, max_jerk=max_jerk, mu=mu)
 
     def _set(self, **options: float) -> None:
-        """Check options, and keep them as parameters."""
+        """Check options, and store them as parameters of the model."""
         for name, value in options.items():
             if value == math.inf and name.startswith("max_"):
                 continue
@@ -77,7 +80,7 @@ class ActuatedVehicle(VehicleModel):
         self._parameters |= options
 
     def start(self, start: Start) -> None:
-        """Reset all state for a batch."""
+        """Reset all state before scenarios are simulated together."""
         names, n = (*_PARAMETERS, *self.parameter_names), start.scenarios
         body = start.body
         values: dict[str, Any] = {"steering_delay": 0.0, "steering_lag": 0.0, "max_steering_rate": math.inf}
@@ -91,7 +94,7 @@ class ActuatedVehicle(VehicleModel):
         self._vehicles = Vehicles(np.ascontiguousarray(parameters), state, np.zeros((n, 2, size)))
 
     def _derived_parameters(self, values: dict[str, Any]) -> dict[str, Any]:
-        """Return parameters that follow from others."""
+        """Return parameters that follow from other parameters; none by default."""
         return {}
 
     @property
@@ -100,7 +103,7 @@ class ActuatedVehicle(VehicleModel):
         return self._vehicles
 
     def use_tables(self, tables: Vehicles) -> None:
-        """Keep parameters and state in tables that kernels use, too.
+        """Use other arrays for parameters and state, which this model shares with kernels.
 
         Parameters
         ----------
@@ -111,19 +114,19 @@ class ActuatedVehicle(VehicleModel):
 
 
 class Actuators(ActuatedVehicle):
-    """A vehicle that stays on its path, with actuators for its speed.
+    """Vehicle model that stays on its path, with actuators for its speed.
 
-    Curves need none of the friction. See ``docs/vehicles.md``.
+    Curves use none of the friction. See ``docs/vehicles.md``.
 
     Parameters
     ----------
     delay, lag : float, default 0
-        Dead time in s after which the vehicle begins to do what is requested, and time constant in s with which its
+        Dead time in s after which the vehicle begins to follow a request, and time constant in s with which its
         acceleration then approaches the request.
     max_jerk : float, optional
         Highest change of the acceleration in m/s³, such as that of brakes that build up pressure; infinite by default.
     mu : float, default 1
-        Friction coefficient of the tyres on a dry road, by which that of the road is multiplied.
+        Friction coefficient of the tyres on a dry road; multiplied by the friction coefficient of the road.
 
     Raises
     ------
@@ -153,7 +156,7 @@ class Actuators(ActuatedVehicle):
         time_step: float,
         active: BoolArray,
     ) -> PlanarMotion:
-        """Return the motion at the end of a time step; the pose is that at its start."""
+        """Return the motion at the end of a time step; the pose does not change."""
         speed, reached = np.array(motion.speed), np.array(motion.acceleration)
         inputs = np.ascontiguousarray(acceleration), np.ascontiguousarray(friction)
         change_speeds(self._vehicles, speed, reached, *inputs, time_step, np.ascontiguousarray(active))
@@ -161,16 +164,16 @@ class Actuators(ActuatedVehicle):
 
 
 class SteeredVehicle(ActuatedVehicle):
-    """Base class of vehicles that steer.
+    """Base class of vehicle models that steer.
 
     Parameters
     ----------
     steering_delay, steering_lag : float
-        Dead time in s and time constant in s of the steering, as those of the acceleration.
+        Dead time in s and time constant in s of the steering, like `delay` and `lag` of the acceleration.
     max_steering_rate : float
         Highest change of the angle of the front wheels in rad/s.
     **options
-        Those of `ActuatedVehicle`.
+        Options of `ActuatedVehicle`: ``delay``, ``lag``, ``max_jerk`` and ``mu``.
     """
 
     def __init__(
@@ -186,7 +189,7 @@ class SteeredVehicle(ActuatedVehicle):
 
     @property
     def steering_response(self) -> FloatArray:
-        """Time in s by which the wheels are late.
+        """Time in s by which the wheels lag behind a request.
 
         Returns
         -------
@@ -196,7 +199,7 @@ class SteeredVehicle(ActuatedVehicle):
 
     @property
     def wheelbase(self) -> FloatArray:
-        """Distance of the axles in m.
+        """Distance between the axles in m.
 
         Returns
         -------

@@ -11,14 +11,14 @@ from cornercase.drivers.vehicles._kernels.actuators import KINEMATIC
 class Kinematic(SteeredVehicle):
     """Kinematic single-track model about the rear axle: its wheels do not slip.
 
-    Where a curve asks for more than the tyres can do, the vehicle understeers. See ``docs/vehicles.md``.
+    If a curve asks for more than the tyres can do, the vehicle understeers. See ``docs/vehicles.md``.
 
     Parameters
     ----------
     wheelbase : float, optional
-        Distance of the axles in m; by default that of the scenario file.
+        Distance between the axles in m; by default the one in the scenario file.
     **options
-        Those of `SteeredVehicle`.
+        Options of `SteeredVehicle`, such as ``steering_lag`` and ``delay``.
 
     Raises
     ------

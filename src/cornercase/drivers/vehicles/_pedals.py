@@ -1,4 +1,4 @@
-"""What a vehicle does at its pedals."""
+"""Acceleration that the throttle and brake pedals of a vehicle ask for."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from cornercase._common.typing import FloatArray
 from cornercase.drivers._function import Body
 
-# m/s²; of a vehicle for which the scenario file has no limits.
+# m/s²; limits of a vehicle for which the scenario file has none.
 _MAX_ACCELERATION: Final = 3.0
 _MAX_DECELERATION: Final = 8.0
 
@@ -17,8 +17,8 @@ _MAX_DECELERATION: Final = 8.0
 def pedals_to_acceleration(throttle: FloatArray, brake: FloatArray, body: Body) -> FloatArray:
     """Return the acceleration in m/s² that pedals from 0 to 1 ask for, (N,); a pedal that is NaN is not pressed.
 
-    It is linear: full throttle is the vehicle's highest acceleration, and full brake its highest deceleration; 3 and
-    8 m/s² if it has no limits. NaN where no pedal is given.
+    Full throttle gives the vehicle's highest acceleration (3 m/s² without a limit), full brake its highest deceleration
+    (8 m/s² without a limit); values in between are linear. The result is NaN in scenarios without any pedal.
     """
     highest = body.max_acceleration if np.isfinite(body.max_acceleration) else _MAX_ACCELERATION
     lowest = -(body.max_deceleration if np.isfinite(body.max_deceleration) else _MAX_DECELERATION)

@@ -11,13 +11,13 @@ from cornercase.drivers.vehicles._kernels.actuators import SINGLE_TRACK
 class SingleTrack(SteeredVehicle):
     """Dynamic single-track model with linear tyres that slide at the friction limit.
 
-    It is CommonRoad's model ST (Althoff, Koschi and Manzinger 2017), with its vehicle 2, a BMW 320i, as default. See
-    ``docs/vehicles.md``.
+    This is CommonRoad's model ST (Althoff, Koschi and Manzinger 2017). The defaults are CommonRoad's vehicle 2, a BMW
+    320i. See ``docs/vehicles.md``.
 
     Parameters
     ----------
     mass : float
-        In kg.
+        Mass in kg.
     inertia : float
         Moment of inertia about the vertical axis in kg m².
     front_axle, rear_axle : float
@@ -27,11 +27,11 @@ class SingleTrack(SteeredVehicle):
     height : float
         Height of the centre of gravity in m.
     mu : float
-        Friction coefficient of the tyres on a dry road, by which that of the road is multiplied.
+        Friction coefficient of the tyres on a dry road; multiplied by the friction coefficient of the road.
     max_steering_rate : float
         Highest change of the angle of the front wheels in rad/s.
     **options
-        ``delay``, ``lag``, ``max_jerk``, ``steering_delay`` and ``steering_lag`` of `Kinematic`.
+        Options ``delay``, ``lag``, ``max_jerk``, ``steering_delay`` and ``steering_lag``, as in `Kinematic`.
 
     Raises
     ------

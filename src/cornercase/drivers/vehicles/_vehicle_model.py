@@ -19,7 +19,7 @@ class PlanarMotion:
     Attributes
     ----------
     x, y, heading, speed, acceleration : ndarray of float64, shape (N,)
-        In m, rad, m/s and m/s²; heading unwrapped, acceleration along the heading.
+        Values in m, rad, m/s and m/s². The heading is unwrapped, and the acceleration is along the heading.
 
     Examples
     --------
@@ -40,17 +40,17 @@ class PlanarMotion:
 
 
 class VehicleModel(Configurable, ABC):
-    """Moves a vehicle by its controls, for all concrete scenarios of a batch at the same time.
+    """Base class of vehicle models, which move a vehicle by its controls, in many concrete scenarios at once.
 
-    All numeric options of the constructor can be dimensions of a search: `start.parameters` then has one value for each
+    All numeric options of the constructor can be dimensions of a search: `Start.parameters` then has one value for each
     scenario. Scenarios do not depend on each other.
 
     Attributes
     ----------
     name : str
-        As registered.
+        Name in the registry.
     steers : bool
-        Whether the model has a pose of its own. If not, only its speed counts, and the vehicle stays on its path.
+        True if the model moves the pose. If not, only its speed counts, and the vehicle stays on its path.
 
     Examples
     --------
@@ -76,18 +76,18 @@ class VehicleModel(Configurable, ABC):
 
     @property
     def steering_response(self) -> FloatArray | float:
-        """Time in s by which the wheels are late; a tracker steers that much earlier.
+        """Time in s by which the wheels lag behind a request; a path controller steers earlier by this time.
 
         Returns
         -------
         ndarray of float64, shape (N,), or float
-            One for all scenarios if it is a float.
+            A float holds for all scenarios.
         """
         return 0.0
 
     @property
     def wheelbase(self) -> FloatArray | None:
-        """Distance of the axles in m, from which a tracker steers; None if it is that of the scenario file.
+        """Distance between the axles in m, with which a path controller steers; None for that in the scenario file.
 
         Returns
         -------
@@ -97,12 +97,12 @@ class VehicleModel(Configurable, ABC):
 
     @abstractmethod
     def start(self, start: Start) -> None:
-        """Reset all state for a batch.
+        """Reset all state before a batch (scenarios simulated together) starts.
 
         Parameters
         ----------
         start : Start
-            What is known then.
+            Vehicle, parameters, seeds and roads of the scenarios.
         """
 
     @abstractmethod
@@ -120,7 +120,7 @@ class VehicleModel(Configurable, ABC):
         Parameters
         ----------
         motion : PlanarMotion
-            At the start of the step; the state of scenarios that are not active must not change.
+            Motion at the start of the step; the state of scenarios that are not active must not change.
         acceleration : ndarray of float64, shape (N,)
             Requested acceleration in m/s².
         steering : ndarray of float64, shape (N,)
@@ -128,9 +128,9 @@ class VehicleModel(Configurable, ABC):
         friction : ndarray of float64, shape (N,)
             Friction coefficient of the road.
         time_step : float
-            In s.
+            Duration of the step in s.
         active : ndarray of bool, shape (N,)
-            Scenarios that take the step.
+            True for the scenarios that take the step.
 
         Returns
         -------

@@ -20,7 +20,7 @@ GRAVITY: Final = 9.81
 """In m/s²."""
 
 ACTUATORS, KINEMATIC, SINGLE_TRACK = range(3)
-"""Kinds of vehicles; the first one stays on its path."""
+"""Kinds of vehicle models; a vehicle of the first kind stays on its path."""
 
 (
     DELAY,
@@ -34,45 +34,45 @@ ACTUATORS, KINEMATIC, SINGLE_TRACK = range(3)
     MAX_STEERING,
     WHEELBASE,
 ) = range(10)
-"""Columns of `Vehicles.parameters`; those of a model's own follow."""
+"""Columns of `Vehicles.parameters`; columns that only one model has follow."""
 
 ACCELERATION, STEERING, SPEED, NEWEST, YAW_RATE, SLIP, VELOCITY, LEFT_X, LEFT_Y = range(9)
-"""Columns of `Vehicles.state`. The speed is the last one that the model returned; NaN before. `NEWEST` is the index of
-the newest request. Yaw rate, slip angle and velocity are those of the centre of gravity, of a model in which tyres
-slip. `LEFT_X`, `LEFT_Y` are where the last step left a vehicle that steers."""
+"""Columns of `Vehicles.state`. `SPEED` is the last speed that the model returned; NaN before. `NEWEST` is the index of
+the newest request. Yaw rate, slip angle and velocity are for the centre of gravity, in a model whose tyres slip.
+`LEFT_X` and `LEFT_Y` are the position of a vehicle that steers after its last step."""
 N_STATE: Final = 9
 
-# rad; the change of the angle of the wheels for which the time is counted that it takes.
+# rad; change of the wheels' angle whose duration counts as part of the steering response.
 _USUAL_STEERING: Final = 0.1
-# A speed in m/s that differs by more from what the model returned was set by something else.
+# m/s; a speed that differs by more from the one that the model returned was set by something else.
 _TOLERANCE: Final = 1e-6
-# Share of a time step that a dead time may lack to a multiple.
+# Share of a time step by which a dead time may be less than a multiple of the step.
 _ROUNDING: Final = 1e-9
 
 
 class Vehicles(NamedTuple):
-    """Parameters and state of a vehicle in N scenarios, or of several one after another, for kernels."""
+    """Parameters and state of a vehicle model in N scenarios, for kernels; rows of further vehicles follow."""
 
     parameters: FloatArray  # (N, P): columns as above, in m, s and rad
     state: FloatArray  # (N, 9): columns as above
-    requests: FloatArray  # (N, 2, R): the last requests of acceleration and steering, as rings
+    requests: FloatArray  # (N, 2, R): the last requests of acceleration and steering, as ring buffers
 
 
 def count_requests(delay: FloatArray, time_step: float) -> int:
-    """Return how many requests a ring must hold for these dead times in s."""
+    """Return how many requests a ring buffer must hold for the longest of these dead times in s."""
     return int(np.ceil(delay.max(initial=0.0) / time_step)) + 2
 
 
 @plain_kernel
 def steering_response(parameters):
-    """Return the time in s by which the wheels are late, of a row of `Vehicles.parameters`."""
+    """Return the time in s by which the wheels lag behind a request, from a row of `Vehicles.parameters`."""
     late = parameters[STEERING_DELAY] + parameters[STEERING_LAG]
     return late + _USUAL_STEERING / parameters[MAX_STEERING_RATE]
 
 
 @plain_kernel
 def begin_step(vehicles, n, speed, acceleration, request, steering):
-    """Store the requests of the coming step, with new actuators if something else has changed speed or place."""
+    """Store the requests for a time step; reset the actuators if something else has moved the vehicle."""
     state, requests = vehicles.state[n], vehicles.requests[n]
     if not abs(speed - state[SPEED]) <= _TOLERANCE:
         state[ACCELERATION] = acceleration if math.isfinite(acceleration) and speed > 0.0 else 0.0
@@ -86,9 +86,10 @@ def begin_step(vehicles, n, speed, acceleration, request, steering):
 
 @plain_kernel
 def longitudinal_grip(vehicles, n, grip, lateral, time_step):
-    """Return the highest acceleration in m/s² that tyres with this grip allow beside the lateral one that is wanted.
+    """Return the highest longitudinal acceleration in m/s² that the tyres allow next to a lateral acceleration.
 
-    Of the requested and the lateral acceleration, the tyres do the same share.
+    `grip` is the highest total acceleration of the tyres. If the requested and the `lateral` acceleration exceed it
+    together, both are reduced by the same factor.
     """
     requests = vehicles.requests[n]
     steps = int(vehicles.parameters[n, DELAY] / time_step + _ROUNDING)
@@ -126,7 +127,7 @@ def advance(vehicles, n, which, limit, begin, duration, time_step):
 
 @kernel(error_model="numpy", _nrt=False, forceinline=True)
 def _find_request(state, size, steps):
-    """Return the index of the request `steps` time steps ago, in a ring of `size`."""
+    """Return the index of the request `steps` time steps ago, in a ring buffer of `size` requests."""
     index = int(state[NEWEST]) - steps
     return index if index >= 0 else index + size
 
@@ -156,9 +157,9 @@ def _follow(value, request, lag, max_rate, limit, duration):
 
 @plain_kernel
 def speed_after(speed, gain, max_speed):
-    """Return the speed after a step, and the share of the step in which a vehicle that stops in it still moves."""
+    """Return the speed after a step, and the share of the step for which the vehicle moves, 1 if it does not stop."""
     if speed + gain < 0.0:
-        # One that the scenario has sent backwards stops at once.
+        # A vehicle that the scenario has sent backwards stops at once.
         return 0.0, speed / -gain if speed > 0.0 else 0.0
     return min(speed + gain, max_speed), 1.0
 
@@ -167,7 +168,7 @@ def speed_after(speed, gain, max_speed):
 def change_speed(vehicles, n, speed, acceleration, request, friction, time_step):
     """Return the speed after a time step of a vehicle that stays on its path.
 
-    `acceleration` is that of the last step, `request` the requested one, in m/s².
+    `acceleration` is the acceleration of the last step, and `request` the requested acceleration, in m/s².
     """
     begin_step(vehicles, n, speed, acceleration, request, 0.0)
     grip = vehicles.parameters[n, MU] * friction * GRAVITY
@@ -179,7 +180,7 @@ def change_speed(vehicles, n, speed, acceleration, request, friction, time_step)
 
 @kernel(interpreted_seconds=lambda vehicles, speed, *_: 2e-5 * speed.size, error_model="numpy")
 def change_speeds(vehicles, speed, acceleration, request, friction, time_step, active):
-    """Change the speeds (N,) of the active vehicles by one time step, and their accelerations to those at its end."""
+    """Change `speed` and `acceleration` (N,) of the active vehicles to the values at the end of a time step."""
     _change_all(reference_to(vehicles), speed, acceleration, request, friction, time_step, active)
 
 
@@ -193,7 +194,7 @@ def _change_all(vehicles, speed, acceleration, request, friction, time_step, act
 
 @plain_kernel
 def end_step(vehicles, n, speed):
-    """Make room for the next request, and return the acceleration at its end; brakes do nothing at standstill."""
+    """Make room for the next request; return the acceleration at the end of the step, 0 if the vehicle stands."""
     state, size = vehicles.state[n], vehicles.requests.shape[2]
     state[NEWEST] = state[NEWEST] + 1.0 if state[NEWEST] + 1.0 < size else 0.0
     state[SPEED] = speed

@@ -31,17 +31,17 @@ from cornercase.drivers.vehicles._kernels.actuators import (
 )
 
 X, Y, HEADING, SPEED, LAST_ACCELERATION = range(5)
-"""Columns of a motion."""
+"""Columns of the motion of a vehicle."""
 
 # s; the longest part of a step in which speed and curvature count as linear.
 _PART: Final = 0.01
-# Share of the grip across the heading up to which what is left for the acceleration hardly changes in a step.
+# Share of the grip that lateral acceleration may use if the rest of the grip is to hardly change in a step.
 _MAX_SHARE: Final = 0.5
 
 
 @plain_kernel
 def roll_vehicle(vehicles, n, motion, acceleration, steering, friction, time_step):
-    """Move a vehicle by one time step, and return its speed; `motion` (5,) is changed."""
+    """Move a vehicle without tyre slip by one time step, and return its speed; `motion` (5,) is changed in place."""
     begin_step(vehicles, n, motion[SPEED], motion[LAST_ACCELERATION], acceleration, steering)
     grip = vehicles.parameters[n, MU] * friction * GRAVITY
     # A circle without slip needs no parts.
@@ -54,7 +54,7 @@ def roll_vehicle(vehicles, n, motion, acceleration, steering, friction, time_ste
 
 @plain_kernel
 def _is_circle(parameters, speed, steering, grip):
-    """Whether actuators without delay keep a vehicle on a circle that asks for much less than its tyres can do."""
+    """Return whether a vehicle goes along a circle: no delays or rate limits, and far from the limit of its tyres."""
     is_late = max(parameters[DELAY], parameters[LAG], parameters[STEERING_DELAY], parameters[STEERING_LAG]) > 0.0
     is_slow = min(parameters[MAX_JERK], parameters[MAX_STEERING_RATE]) < math.inf
     lateral = speed * speed * math.tan(min(abs(steering), parameters[MAX_STEERING])) / parameters[WHEELBASE]
@@ -63,7 +63,7 @@ def _is_circle(parameters, speed, steering, grip):
 
 @plain_kernel
 def roll(vehicles, n, motion, grip, begin, duration, time_step):
-    """Move a vehicle without slip by a part of a time step; `grip` in m/s² is what its tyres can do."""
+    """Move a vehicle without tyre slip by a part of a time step; `grip` is its highest acceleration in m/s²."""
     parameters, state = vehicles.parameters[n], vehicles.state[n]
     wheelbase = parameters[WHEELBASE]
     speed = motion[SPEED]
@@ -74,7 +74,7 @@ def roll(vehicles, n, motion, grip, begin, duration, time_step):
     motion[SPEED], moving = speed_after(speed, gain, parameters[MAX_SPEED])
     mean = 0.5 * (speed + motion[SPEED])
     curvature = math.tan(steering) / wheelbase
-    # The front wheels slide where the curve asks for more than the tyres can do beside the acceleration.
+    # The front wheels slide if the curve asks for more than the tyres can do next to the acceleration.
     lateral_grip = math.sqrt(max(grip * grip - (gain / duration) ** 2, 0.0))
     if mean * mean * abs(curvature) > lateral_grip:
         curvature = math.copysign(lateral_grip / (mean * mean), curvature)

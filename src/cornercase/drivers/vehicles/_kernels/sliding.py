@@ -39,7 +39,8 @@ _STEADY_PART: Final = 0.05
 # rad; change of the angle of the wheels in a step up to which they hardly turn.
 _SMALL_TURN: Final = 5e-3
 _SHORTEST_PART: Final = 1e-5
-# Slip decays by e to this power in a part at most: Runge and Kutta's method is off by 2 % of it then, by 5 % at 1.5.
+# Slip decays at most by e to this power in a part: the error of the Runge-Kutta method is then 2 % of the slip (5 % at
+# 1.5).
 _MAX_DECAY: Final = 1.25
 # Share of a step that rounding may leave.
 _ROUNDING: Final = 1e-9
@@ -47,7 +48,7 @@ _ROUNDING: Final = 1e-9
 
 @plain_kernel
 def slide_vehicle(vehicles, n, motion, acceleration, steering, friction, time_step):
-    """Move a vehicle by one time step, and return its speed; `motion` (5,) is changed."""
+    """Move a vehicle whose tyres slip by one time step, and return its speed; `motion` (5,) is changed in place."""
     parameters, state, begin = vehicles.parameters[n], vehicles.state[n], 0.0
     begin_step(vehicles, n, motion[SPEED], motion[LAST_ACCELERATION], acceleration, steering)
     grip = parameters[MU] * friction * GRAVITY
@@ -81,14 +82,14 @@ def slide_vehicle(vehicles, n, motion, acceleration, steering, friction, time_st
 
 @plain_kernel
 def _move_reference_point(motion, ahead):
-    """Let a motion be that of the centre of gravity, which is ahead of the rear axle, or of the rear axle again."""
+    """Move the reference point by `ahead` m: from the rear axle to the centre of gravity, or back if negative."""
     motion[X] += ahead * math.cos(motion[HEADING])
     motion[Y] += ahead * math.sin(motion[HEADING])
 
 
 @plain_kernel
 def _slide(vehicles, n, motion, grip, begin, duration, time_step):
-    """Move the centre of gravity by a part of a time step, with tyres that slip; by the method of Runge and Kutta."""
+    """Move the centre of gravity of a vehicle whose tyres slip by a part of a time step, by the Runge-Kutta method."""
     parameters, state = vehicles.parameters[n], vehicles.state[n]
     speed, slip, yaw_rate = state[VELOCITY], state[SLIP], state[YAW_RATE]
     lateral = speed * speed * math.tan(state[STEERING]) / parameters[WHEELBASE]
@@ -127,9 +128,9 @@ def _slide(vehicles, n, motion, grip, begin, duration, time_step):
 
 @plain_kernel
 def _axles(parameters, grip, acceleration):
-    """Return forces of front and rear axle per slip angle and mass, the highest ones, and the mass per inertia.
+    """Return lateral stiffness and highest lateral force of both axles per mass, and the mass per inertia.
 
-    In m/s² per rad, m/s² and 1/m².
+    In this order: stiffness of front and rear axle in m/s² per rad, highest force of both in m/s², and 1/m².
     """
     front, rear = parameters[FRONT_AXLE], parameters[REAR_AXLE]
     # Loads of the axles as shares of the weight; an axle that lifts off has no force.
@@ -149,7 +150,7 @@ def _axles(parameters, grip, acceleration):
 
 @plain_kernel
 def _turning(axles, parameters, steering, per_speed, slip, yaw_rate):
-    """Return the rate of the slip angle and the yaw acceleration, from the lateral forces; `per_speed` is in s/m."""
+    """Return slip angle rate and yaw acceleration from the lateral forces; `per_speed` is 1 / speed in s/m."""
     front_stiffness, rear_stiffness, front_limit, rear_limit, per_inertia = axles
     front, rear = parameters[FRONT_AXLE], parameters[REAR_AXLE]
     front_slip, rear_slip = steering - slip - front * yaw_rate * per_speed, rear * yaw_rate * per_speed - slip

@@ -1,4 +1,4 @@
-"""Compiled vehicles that steer, by kind."""
+"""Compiled time step of vehicle models that steer."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, no-untyped-call, untyped-decorator, call-arg, var-annotated"
@@ -19,16 +19,16 @@ from cornercase.drivers.vehicles._kernels.rolling import X, Y, roll_vehicle
 from cornercase.drivers.vehicles._kernels.sliding import slide_vehicle
 
 VEHICLE_KERNELS: Final = LateKernels({KINEMATIC: roll_vehicle, SINGLE_TRACK: slide_vehicle}, types.float64)
-"""Kernels that move a vehicle, by kind."""
+"""Kernels that move a vehicle, by kind of vehicle model."""
 MOTION_INPUTS: Final = (types.int64, types.float64[::1], *4 * [types.float64])
 """Types of the arguments of these kernels after the vehicles."""
 MOVED: Final = 0.1
-"""In m; a vehicle that is farther from where its last step has left it was moved by something else."""
+"""Distance in m; a vehicle farther from its position after the last step was moved by something else."""
 
 
 @kernel(error_model="numpy", _nrt=False, forceinline=True)
 def move_steered_vehicle(kind, kernels, vehicles, row, motion, request, steering, friction, time_step):
-    """Move a vehicle by one time step, and return its speed; `motion` (5,) is changed.
+    """Move a vehicle that steers by one time step, and return its speed; `motion` (5,) is changed in place.
 
     `kernels` are the addresses of `VEHICLE_KERNELS`. `request` is an acceleration in m/s², `steering` an angle in rad.
     """
@@ -50,7 +50,7 @@ def move_steered_vehicle(kind, kernels, vehicles, row, motion, request, steering
     error_model="numpy",
 )
 def step_vehicles(kind, kernels, vehicles, motion, acceleration, steering, friction, time_step, active):
-    """Move the active vehicles of a kind by one time step; `motion` (N, 5) is changed."""
+    """Move the active vehicles, all of one kind, by one time step; `motion` (N, 5) is changed in place."""
     _step_all(kind, kernels, reference_to(vehicles), motion, acceleration, steering, friction, time_step, active)
 
 
