@@ -107,7 +107,7 @@ def test_a_contradiction_is_one_sentence(texts, says):
         ("Ego=my_aeb.py", "a class is named as 'my_aeb:Class', a program as 'exec:python my_aeb.py'."),
         ("Ego=my_aeb", "a class of my_aeb.py is named as 'my_aeb:Class'."),
         ("Ego=my_aeb:aeb", "has no class 'aeb'; did you mean 'Aeb'?"),
-        ("Ego=sut.toml", "a file that says who drives stands without an entity, as in --sut sut.toml."),
+        ("Ego=sut.toml", "give a file that names the drivers without an entity, as in --sut sut.toml."),
         ("Brake.fmu", "write it as ENTITY=NAME, as Ego=fmu:Brake.fmu;"),
         ("./hold", "write it as ENTITY=NAME, as Ego=exec:./hold;"),
         ("fmu:Brake.fmu", "write it as ENTITY=NAME, as Ego=fmu:Brake.fmu;"),

@@ -144,7 +144,7 @@ def test_reduce_and_test_make_mutants_of_a_class_of_the_user(own_module):
     assert cornercase("analyze", "study.db", "--by", "wttc").returncode == 0
     refused = cornercase("reduce", "study.db", "--size", 2, "--kill-mutants", 2, "-o", "reduced")
     assert refused.returncode == 2
-    assert "which the study names, need its code; name it with --driver" in refused.stderr
+    assert "but mutants need its code; give the driver with --driver" in refused.stderr
     other = cornercase(
         "reduce", "study.db", "--size", 2, "--kill-mutants", 2, "--driver", "Ego=mutated_aeb:Bare", "-o", "reduced"
     )

@@ -413,10 +413,10 @@ WAY = cc.drivers.Trajectory(np.array([0.0, 1.0]), np.zeros(2), np.zeros(2))
     ("values", "says"),
     [
         ({}, "has to decide something; give acceleration, throttle and brake, or a trajectory"),
-        ({"steering": 0.1}, "steering needs to know how fast; give acceleration, or throttle and brake, with it"),
-        ({"lane_change": "left"}, "lane_change needs to know how fast; give acceleration"),
+        ({"steering": 0.1}, "steering alone does not set the speed; also give acceleration, or throttle and brake"),
+        ({"lane_change": "left"}, "lane_change alone does not set the speed; also give acceleration"),
         ({"acceleration": 1, "brake": 0}, "acceleration and brake exclude each other; give acceleration, or throttle"),
-        ({"acceleration": 1, "trajectory": WAY}, "a trajectory says all of the motion; leave out acceleration"),
+        ({"acceleration": 1, "trajectory": WAY}, "a trajectory already sets the whole motion; leave out acceleration"),
         ({"brake": 1, "steering": 0, "trajectory": WAY}, "leave out brake and steering"),
         (
             {"acceleration": 1, "steering": 0, "lane_change": "left"},

@@ -47,7 +47,7 @@ def test_a_program_has_mutants_by_its_file_through_the_commands(folder):
     selected = ("-q", "reduce", "s.db", "--size", 1, "--kill-mutants", 2, "-o", "reduced", "--sut")
     unknown = cornercase(*selected, driver, cwd=folder)
     assert unknown.returncode == 2
-    assert "nothing says how far its parameters may be off; give a file" in unknown.stderr
+    assert "no file says how far its parameters may be off; give such a file" in unknown.stderr
     # The study was explored without the file, and is that of the same program.
     done = cornercase(*selected, f"{driver},mutations=program.toml", cwd=folder)
     assert done.returncode == 0, done.stderr
@@ -95,7 +95,7 @@ def test_a_text_that_a_study_or_file_may_hold_runs_nothing(folder, name):
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("", "has no option; write a table for each, as in [reaction]"),
+        ("", "has no table; write one for each option, as in [reaction]"),
         ("reaction = 2", "[reaction]: is no table"),
         ("[reaction]\nfactr = [1, 2]", "'factr', which is not known; did you mean 'factor'?"),
         ("[reaction]", "needs either factor = [0.8, 0.2] or increase"),
@@ -106,7 +106,7 @@ def test_a_text_that_a_study_or_file_may_hold_runs_nothing(folder, name):
         ),
         ("[reaction]\nfactor = 2", "give two numbers from"),
         ("[reaction]\nfactor = [1, 2]\ndescription = 3", "description: give a text"),
-        ("[reacton]\nfactor = [1, 2]", "has no number 'reacton' that may be off; did you mean 'reaction'?"),
+        ("[reacton]\nfactor = [1, 2]", "has no numeric parameter 'reacton'; did you mean 'reaction'?"),
     ],
 )
 def test_a_wrong_file_is_refused_with_its_table(folder, text, says):

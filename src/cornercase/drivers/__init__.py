@@ -1,4 +1,4 @@
-"""Drivers by name, and the base class for your own drivers."""
+"""Drivers, sensors and vehicle models by name, and base classes for your own."""
 
 import lazy_loader as lazy
 

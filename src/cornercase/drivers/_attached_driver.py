@@ -1,4 +1,4 @@
-"""A driver with its sensors and its vehicle, attached to a simulator: from the situation to motion, step by step."""
+"""Driver of a simulated entity: turns the traffic situation of each time step into the motion of the entity."""
 
 from __future__ import annotations
 
@@ -43,18 +43,19 @@ from cornercase.drivers.vehicles._vehicle_model import PlanarMotion
 
 # Excess in m/s² or rad that may come from rounding.
 _ROUNDING: Final = 1e-9
-# m; a first point may be beside the vehicle. m/s, of a vehicle without a limit.
+# m; always allowed, since the first point of a trajectory may be beside the vehicle.
 _JUMP: Final = 10.0
+# m/s; highest speed of a vehicle without a limit.
 _MAX_SPEED: Final = 100.0
 _LIMITS: Final = {"acceleration", "deceleration"}
 _STATE: Final = ("x", "y", "heading", "speed", "acceleration")
 
 
 class DriverError(Exception):
-    """A driver raised an exception or returned no acceleration, for several scenarios at once.
+    """Failure of a driver that decides for several scenarios at once: an exception, or no valid acceleration.
 
-    `error` is the error of the scenario at fault. `can_bisect`: whether runs of half of the scenarios can find that
-    scenario; otherwise only single runs can.
+    `error` is the error of the scenario at fault. If `can_bisect`, runs with half of the scenarios can find this
+    scenario; otherwise only runs of single scenarios can.
     """
 
     def __init__(self, error: SimulationError, splits: bool) -> None:
@@ -64,10 +65,10 @@ class DriverError(Exception):
 
 @dataclass(frozen=True, eq=False)
 class Decision:
-    """What an attached driver does in one time step, for N scenarios.
+    """Decision of a driver for one time step in N scenarios, as the motion of its entity.
 
-    `motion` is the motion at the end of the step; where the entity is not steered, only its speed counts. `failures`
-    has the errors of the scenarios that end because the driver failed, by index of the scenario.
+    `motion` is the motion at the end of the step. If the entity is not steered, only the speed in `motion` counts.
+    `failures` has the error of each scenario that ends because the driver failed, by index of the scenario.
     """
 
     motion: DrivenMotion
@@ -75,10 +76,11 @@ class Decision:
 
 
 class AttachedDriver:
-    """A driver that is attached to an entity of a simulator.
+    """Driver of a simulated entity, with its sensors and its vehicle model.
 
-    `limit_notices` has a sentence without full stop for each limit that the driver exceeded: of the vehicle, or of the
-    lanes beside it; a semicolon precedes what differs between notices about the same limit.
+    `limit_notices` has one sentence, without full stop, for each limit that the driver exceeded: a limit of the
+    vehicle, or a lane change to a side without a lane. The text after a semicolon may differ between notices about the
+    same limit.
     """
 
     def __init__(self, driver: Driver, entity: str) -> None:
@@ -92,27 +94,27 @@ class AttachedDriver:
 
     @property
     def is_compiled(self) -> bool:
-        """Whether kernels can make all its decisions, and move its vehicle."""
+        """True if compiled code can make all decisions of the driver and move its vehicle."""
         is_moved = self.vehicle is None or self.compiled_vehicle is not None
         return is_compiled(self.driver) and not self._sensors and is_moved
 
     @property
     def sees_start_of_step(self) -> bool:
-        """Whether its situations are those at the start of the step, even if actions have moved entities already.
+        """True if the driver is given the traffic at the start of a step, before scenario actions move entities.
 
-        A driver whose accelerations kernels know sees what they have moved, as in the kernels.
+        Other drivers are given the traffic after the actions of the step, as compiled drivers are.
         """
         return isinstance(self.driver, DrivingFunction)
 
     @property
     def compiled_vehicle(self) -> ActuatedVehicle | None:
-        """Its vehicle, if kernels can move it; they cannot move one of a derived class."""
+        """Vehicle model of the driver if compiled code can move it; None without a model, or for a class of a user."""
         is_built = isinstance(self.vehicle, ActuatedVehicle) and is_built_in(type(self.vehicle))
         return cast(ActuatedVehicle, self.vehicle) if is_built else None
 
     @property
     def display_name(self) -> str:
-        """Its name in messages."""
+        """Name of the driver in messages."""
         driver_class = type(self.driver)
         return f"the driver of {quote_name(self._entity)}" + (
             "" if is_built_in(driver_class) else f" ({driver_class.__module__}:{driver_class.__qualname__})"
@@ -120,14 +122,14 @@ class AttachedDriver:
 
     @property
     def _full_name(self) -> str:
-        """Its name in messages, with the program or file that an adapter of cornercase runs."""
+        """Name of the driver in messages; for an adapter, also the FMU, program or class that the adapter runs."""
         is_adapter = is_built_in(type(self.driver)) and isinstance(self.driver, DrivingFunction)
         return f"{self.display_name} ({remove_folders(str(self.driver))})" if is_adapter else self.display_name
 
     def start(self, start: Start) -> None:
-        """Reset driver, sensors and vehicle for a batch; raises `DriverError`.
+        """Reset driver, sensors and vehicle before N scenarios are simulated together; raises `DriverError`.
 
-        The parameters of a driver that cannot vary within a batch have to be the same in all scenarios.
+        If the driver cannot have other parameters in each scenario, the parameters must be the same in all scenarios.
         """
         self._start = start
         parameters = split_parameters(self._entity, self._given, start.parameters)
@@ -138,7 +140,7 @@ class AttachedDriver:
         except BaseException as error:
             raise self._failure(error, requests, 0.0) from error
         if is_compiled(self.driver):
-            # It plans with the limits.
+            # A compiled driver plans with the limits of its vehicle.
             bounds = {"acceleration": start.body.max_acceleration, "deceleration": start.body.max_deceleration}
             for limit, value in limit_driver_acceleration(self.driver, *bounds.values()).items():
                 self.note_exceeded_limit(limit, bounds[limit], f"it would go up to {value:.6g} m/s²")
@@ -155,14 +157,14 @@ class AttachedDriver:
             self.driver.vary(options)
 
     def release(self) -> None:
-        """Release what the driver holds, at the end of a batch."""
+        """Release processes and files of the driver after the last time step."""
         if isinstance(self.driver, DrivingFunction):
             self.driver.release()
 
     def step(self, situation: Situation, begin: PlanarMotion | None = None) -> Decision:
-        """Decide the coming time step in the active scenarios; raises `DriverError`.
+        """Return the decision for the coming time step in the active scenarios; raises `DriverError`.
 
-        `begin` is the motion at the start of the step, where the simulator has moved the entity in this step already.
+        Give `begin`, the motion at the start of the step, if the simulator has already moved the entity in this step.
         """
         # The driver may change the arrays that it is given.
         copies = {name: getattr(situation, name).copy() for name in ("active", "distance", *_STATE)}
@@ -197,7 +199,7 @@ class AttachedDriver:
         situation: Situation,
         failures: dict[int, SimulationError],
     ) -> None:
-        """Add a failure for each scenario of a mask in which a trajectory leads farther than a vehicle drives."""
+        """Add a failure for each scenario of `rows` in which the vehicle would move farther than it can drive."""
         body, dt = self._start.body, situation.time_step
         fastest = body.max_speed if np.isfinite(body.max_speed) else _MAX_SPEED
         farthest = _JUMP + 2.0 * fastest * dt
@@ -217,13 +219,13 @@ class AttachedDriver:
     def _fail(
         self, rows: BoolArray, values: FloatArray, what: str, time: float, failures: dict[int, SimulationError]
     ) -> None:
-        """Add a failure for each scenario of a mask, as its value is not what it is to be."""
+        """Add a failure for each scenario of `rows`: the driver's value is not `what`, such as "an angle in rad"."""
         for n in np.flatnonzero(rows).tolist():
             returned = f"{self._full_name} returned {values[n]:g}{format_time_of_failure(time)}"
             failures.setdefault(n, PluginError(f"{returned}, which is not {what}"))
 
     def _fail_undecided(self, rows: BoolArray, time: float, failures: dict[int, SimulationError]) -> None:
-        """Add a failure for each scenario of a mask, as nothing says how the ego is to move."""
+        """Add a failure for each scenario of `rows`: the driver did not decide how to move."""
         for n in np.flatnonzero(rows).tolist():
             why = "it gave no acceleration, no throttle or brake, and no trajectory"
             sentence = f"{self._full_name} decided nothing{format_time_of_failure(time)}: {why}"
@@ -264,7 +266,7 @@ class AttachedDriver:
         return replace(Controls.empty(expected), acceleration=acceleration)
 
     def _failure(self, error: BaseException, requests: int, time: float) -> DriverError:
-        """Return the failure of the batch that an exception of the driver causes."""
+        """Convert an exception of the driver to a `DriverError`; an `InputError` of an adapter is raised unchanged."""
         if is_built_in(type(self.driver)) and isinstance(self.driver, DrivingFunction):
             if isinstance(error, InputError | DriverError):
                 raise error
@@ -287,7 +289,7 @@ class AttachedDriver:
         return clipped
 
     def _note_exceeded_steering(self, steering: FloatArray, rows: BoolArray, time: float) -> None:
-        """Note the first angle beyond what the wheels can do; where the vehicle moves, it is limited to that."""
+        """Note, once, a steering angle beyond the limit of the front wheels; `Mover` limits the angle."""
         bound = self._start.body.max_steering
         if "steering" in self.limit_notices:
             return
@@ -300,7 +302,7 @@ class AttachedDriver:
             )
 
     def note_exceeded_limit(self, limit: str, bound: float, requested: str) -> None:
-        """Note that the driver exceeds a limit of its vehicle."""
+        """Note that the driver exceeds the acceleration or deceleration that its vehicle can reach, `bound` in m/s²."""
         self.limit_notices[limit] = (
             f"{self.display_name} exceeds the {limit} of {bound:.6g} m/s² in <Performance>, and is"
             f" limited to it; {requested}"

@@ -20,8 +20,8 @@ from cornercase.drivers._mutation import Mutation
 class DrivenPath:
     """Path that the reference point of the driven entity follows.
 
-    A path along a lane is the same in all scenarios of a batch, and has arrays of shape (P,). A trajectory may differ
-    between scenarios, and has arrays of shape (N, P).
+    A path along a lane is the same in all N scenarios that are simulated together, and has arrays of P samples, shape
+    (P,). A trajectory may differ between scenarios, and has arrays of shape (N, P).
 
     Attributes
     ----------
@@ -66,7 +66,7 @@ class DrivenPath:
 
     @cached_property
     def rows(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Distance, x, y, heading and largest step for kernels, shape (1, P) or (N, P), and (1,) or (N,)."""
+        """Distance, x, y, heading for kernels, shape (1, P) or (N, P), and largest sample spacing, (1,) or (N,)."""
         columns = (self.distance, self.x, self.y, self.heading)
         distance, x, y, heading = (np.ascontiguousarray(np.atleast_2d(column)) for column in columns)
         return distance, x, y, heading, np.hypot(np.diff(x), np.diff(y)).max(axis=1)
@@ -78,32 +78,32 @@ class Situation:
 
     This is the true state, including what the driver cannot see: a driver has to model its own perception.
 
-    A `DrivingFunction` gets the state at `time`. Another `Driver` gets it as compiled drivers do: in the builtin
-    simulator, actions of the storyboard come first, so others that an action moves are already where they are after the
-    step.
+    A `DrivingFunction` gets the state at `time`. In the builtin simulator, any other `Driver` gets the state after the
+    storyboard's actions in this step: an entity that an action moves is already at its new position.
 
     Attributes
     ----------
     time, time_step : float
         Time since the start of the scenarios, and duration of the coming time step, in s.
     path : DrivenPath
-        The path ahead and behind.
+        Path of the driven entity, ahead and behind.
     distance : ndarray of float64, shape (N,)
         Position of the driven entity along the path, in m.
     x, y, heading, speed, acceleration : ndarray of float64, shape (N,)
         State of the driven entity's reference point in m, rad, m/s, m/s².
     length, width, center_x : float
-        Bounding box of the driven entity in m, as in a recording.
+        Length and width of the driven entity's bounding box, and position of the box's centre ahead of the reference
+        point, in m.
     target_speed : ndarray of float64, shape (N,)
         Speed in m/s that the scenario's speed actions have set; infinite or NaN if none has set a speed.
     others_x, others_y, others_heading, others_speed : ndarray of float64, shape (N, A)
         State of the other entities in m, rad and m/s; NaN while an entity does not exist.
     others_length, others_width, others_center_x : ndarray of float64, shape (A,)
-        Bounding boxes of the other entities in m.
+        Bounding boxes of the other entities in m, like that of the driven entity.
     others_object_type : tuple of str, length A
-        Vehicle category of each other entity, ``"pedestrian"`` or ``"misc"``.
+        Category of each other entity: a vehicle category such as ``"car"``, ``"pedestrian"`` or ``"misc"``.
     active : ndarray of bool, shape (N,)
-        Scenarios in which the entity is driven along this path in this step.
+        True in the scenarios in which the entity is driven along `path` in this step.
     others_name : tuple of str, length A
         Names of the other entities; false objects of a sensor have names of their own.
     signals : mapping of str to ndarray of str, shape (N,)
@@ -149,21 +149,21 @@ class Situation:
 
 
 class Driver(Configurable, ABC):
-    """Decides the speed of an entity along its path, for all concrete scenarios of a batch at the same time.
+    """Base class of drivers, which decide the acceleration of an entity along its path in many scenarios at once.
 
-    A decision may only depend on the past of its own scenario: no random numbers, no clock, nothing from other
-    scenarios. Derive your own driver from this class and implement `acceleration`; if it has state, also override
-    `start`.
+    A decision in one scenario may depend only on the past of this scenario: no random numbers, no clock, nothing from
+    other scenarios. Derive your own driver from this class and implement `acceleration`; if the driver has state, also
+    override `start`.
 
     Attributes
     ----------
     settings : dict
         Everything that decisions depend on, as plain JSON values. It is stored with a study, which can only be resumed
         with the same settings. The default is the name of the class. Options of the constructor that are numbers, texts
-        or booleans are stored, too; a study refuses any other option, such as a list or an array, unless `settings` has
-        an entry of its name, as in ``self.settings = {"gains": [1.0, 2.0]}``.
+        or booleans are stored, too. A study refuses any other option, such as a list or an array, unless `settings` has
+        an entry under the option's name, as in ``self.settings = {"gains": [1.0, 2.0]}``.
     mutations : tuple of Mutation, default empty
-        What can be wrong in it, for `cornercase reduce --kill-mutants` and `cornercase test --mutants`.
+        Changes that make the driver worse, for `cornercase reduce --kill-mutants` and `cornercase test --mutants`.
 
     See Also
     --------
@@ -171,8 +171,8 @@ class Driver(Configurable, ABC):
 
     Examples
     --------
-    The class may be defined in a script, a notebook or a module. An object of it drives in any simulator that takes
-    drivers, also in worker processes, which load the class with it.
+    The class may be defined in a script, a notebook or a module. Objects of the class drive in any simulator that takes
+    drivers, also in worker processes, which load the class together with the object.
 
     >>> import cornercase as cc
     >>> class Brake(cc.Driver):
@@ -200,7 +200,7 @@ class Driver(Configurable, ABC):
         return describe_as_text(self)
 
     def numeric_parameters(self) -> dict[str, float]:
-        """Return the options of the constructor that are numbers; they can be dimensions of a search.
+        """Return the numeric options of the constructor, which can be dimensions of a search.
 
         Returns
         -------
@@ -209,12 +209,12 @@ class Driver(Configurable, ABC):
         return numeric_options(self)
 
     def start(self, scenarios: int, others: int) -> None:
-        """Reset all state at the start of a batch; does nothing by default.
+        """Reset all state before a batch (scenarios simulated together) starts; does nothing by default.
 
         Parameters
         ----------
         scenarios, others : int
-            Number N of concrete scenarios, and A of other entities in each.
+            Number N of concrete scenarios, and number A of other entities in each scenario.
         """
 
     @abstractmethod
@@ -222,7 +222,7 @@ class Driver(Configurable, ABC):
         """Return the acceleration along the path for the coming time step.
 
         In each time step, the method is called once per path, with the mask ``active`` of the scenarios on this path.
-        In all other scenarios, the result is ignored, the situation may be that of a later time, and the state of the
+        In all other scenarios, the result is ignored, the situation may belong to a later time, and the state of the
         driver must not change.
 
         Parameters

@@ -1,4 +1,4 @@
-"""The built-in driver: plans its speed, follows, yields, and knows only what it has seen."""
+"""Built-in driver, which plans its speed, follows and yields, and knows only entities that it has seen."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ _ALLOWED_ZERO: Final = frozenset(
 
 
 class BehaviourDriver(CompiledDriver):
-    """Driver with the parameters of a `Behaviour`.
+    """Built-in driver, which plans its speed, follows other entities and yields to them.
 
-    The driver computes an acceleration from its own speed plan, and one for each entity that it follows or yields to.
-    It takes the lowest. See ``docs/drivers.md``.
+    The driver computes an acceleration from its own speed plan, and an acceleration for each entity that it follows or
+    yields to. The lowest of these accelerations counts. See ``docs/drivers.md``.
 
     Parameters
     ----------
     behaviour : Behaviour, default NORMAL
-        Its parameters.
+        Parameters of the driver.
 
     Raises
     ------
@@ -59,23 +59,23 @@ class BehaviourDriver(CompiledDriver):
         return ":".join([preset, *filter(None, [",".join(f"{name}={value}" for name, value in changes.items())])])
 
     def numeric_parameters(self) -> dict[str, float]:
-        """Return the fields of its `Behaviour`, which are the options of a preset."""
+        """Return the parameters of the driver by name, as in `Behaviour`."""
         return Behaviour(*self.parameters)._asdict() if type(self) is BehaviourDriver else super().numeric_parameters()
 
     def with_options(self, **changes: Any) -> Self:
-        """Return a driver with other options; those of a preset are the fields of `Behaviour`."""
+        """Return a new driver with some options changed; the options are the fields of `Behaviour`."""
         if type(self) is BehaviourDriver and "behaviour" not in changes:
             return type(self)(Behaviour(*self.parameters)._replace(**changes))
         return super().with_options(**changes)
 
     @property
     def known_mask(self) -> BoolArray:
-        """Entities that the driver is aware of, ndarray of bool, shape (N, A)."""
+        """Mask of the A other entities that the driver knows in N scenarios, ndarray of bool, shape (N, A)."""
         return self._fleet.awareness[0, :, KNOWN]
 
     @property
     def yielding_mask(self) -> BoolArray:
-        """Entities that the driver currently yields to, ndarray of bool, shape (N, A)."""
+        """Mask of the A other entities that the driver yields to in N scenarios, ndarray of bool, shape (N, A)."""
         return self._fleet.awareness[0, :, YIELDING]
 
 
@@ -89,7 +89,7 @@ def _check_parameters(behaviour: Behaviour) -> None:
 
 
 def _preset_factory(behaviour: Behaviour, summary: str) -> Callable[..., BehaviourDriver]:
-    """Return a function that builds a preset, with each parameter as an option."""
+    """Return a function that builds the driver of a preset; all parameters of the driver are its options."""
 
     def build(**overrides: float) -> BehaviourDriver:
         return BehaviourDriver(behaviour._replace(**{name: float(value) for name, value in overrides.items()}))

@@ -1,4 +1,4 @@
-"""What other rooms need of the careful and competent driver of UN Regulation No. 157."""
+"""Careful and competent driver of UN Regulation No. 157: constants and functions for other packages."""
 
 from typing import Final
 

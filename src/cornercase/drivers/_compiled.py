@@ -1,4 +1,4 @@
-"""Drivers with compiled decisions, and fleets: their common state, which the simulator's kernels use."""
+"""Drivers whose decisions are compiled, and fleets: arrays with the state of several drivers, for kernels."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ from cornercase.drivers.vehicles._kernels.actuators import ACTUATORS, Vehicles
 from cornercase.drivers.vehicles._kernels.steered import MOTION_INPUTS, VEHICLE_KERNELS
 
 _MIN_LIMIT = 1e-3
-"""Lowest limit in m/s², whatever the vehicle can do."""
+"""Smallest acceleration limit in m/s² of a driver, even if its vehicle can do less."""
 _VULNERABLE_TYPES = ("pedestrian", "bicycle")
 
-# Points and measures by path shared by all scenarios, then by lateral acceleration and deceleration.
+# Points and measures of routes along paths that all scenarios share, by path, then by the limits of the driver.
 _ROUTE_CACHE: WeakKeyDictionary[DrivenPath, dict[tuple[float, ...], tuple[FloatArray, FloatArray]]] = (
     WeakKeyDictionary()
 )
@@ -47,16 +47,19 @@ _ROUTE_LIMITS: Final = [Behaviour._fields.index(name) for name in ("lateral_acce
 
 
 class CompiledDriver(VariedDriver):
-    """A driver with compiled decisions; its state is a fleet of one, or a row of a larger fleet."""
+    """Base class of drivers whose decisions are compiled.
+
+    A driver keeps its state in a `Fleet`, arrays for kernels: in a fleet of its own, or with other drivers in one.
+    """
 
     kind: ClassVar[int]
-    """Kind of driver, as in `Fleet.kind`."""
+    """Number of the kind of driver, as in `Fleet.kind`."""
 
     parameters: tuple[float, ...]
-    """Parameters of that kind."""
+    """Values of the parameters, in the order that this kind of driver expects."""
 
     def start(self, scenarios: int, others: int) -> None:
-        """Reset all state for a batch of N `scenarios` with A `others` in each."""
+        """Reset all state before a number of `scenarios`, with a number of `others` (other entities) in each."""
         self._fleet = _empty_fleet(1, scenarios, others)
         self._fleet.kind[0] = self.kind
         self._fleet.parameters[0, :, : len(self.parameters)] = self.parameters
@@ -64,19 +67,19 @@ class CompiledDriver(VariedDriver):
         self._routes: dict[int, tuple[DrivenPath, int]] = {}
 
     def vary(self, options: Sequence[Mapping[str, float]]) -> None:
-        """Give the started driver its options in each of the N scenarios."""
+        """Change options of the started driver; `options` has the changed values by name for each scenario."""
         for n, changed in enumerate(options):
             self._fleet.parameters[0, n, : len(self.parameters)] = self.with_options(**changed).parameters
 
     def attach_to_fleet(self, fleet: Fleet, row: int) -> None:
-        """Move the driver's state into a row of a fleet; the driver keeps a view of this row.
+        """Move the driver's state into the arrays of a fleet; the driver keeps views of them.
 
         Parameters
         ----------
         fleet : Fleet
-            The fleet.
+            Arrays with the state of several drivers.
         row : int
-            Row of the driver.
+            Index of this driver in the fleet.
         """
         rows, own_fleet = slice(row, row + 1), self._fleet
         view = Fleet(
@@ -117,7 +120,7 @@ class CompiledDriver(VariedDriver):
         return result
 
     def _plan_route_index(self, path: DrivenPath) -> int:
-        """Return the index of the route along a path among the driver's own routes; plan the route if it is new."""
+        """Return the index of the driver's route along a path; plan the route if the path is new."""
         if self.kind != BEHAVIOUR:
             return 0
         if id(path) not in self._routes:
@@ -132,7 +135,7 @@ def is_compiled(driver: Driver) -> TypeGuard[CompiledDriver]:
 
 
 def link_drivers(fleet: Fleet) -> None:
-    """Compile the kernels of the drivers in a fleet, and of their vehicles; call it before compiled code uses them."""
+    """Compile the kernels of a fleet's drivers and vehicles; to be called before compiled code uses the fleet."""
     DRIVER_KERNELS.link(fleet.kind.tolist(), fleet, *DECISION_INPUTS)
     if len(fleet.vehicles.state):
         VEHICLE_KERNELS.link(fleet.vehicle_kind.tolist(), fleet.vehicles, *MOTION_INPUTS)
@@ -141,10 +144,10 @@ def link_drivers(fleet: Fleet) -> None:
 def limit_driver_acceleration(
     driver: CompiledDriver, max_acceleration: float, max_deceleration: float
 ) -> dict[str, float]:
-    """Limit a started driver to the accelerations in m/s² that its vehicle can reach, until it is started again.
+    """Limit the parameters of a started driver to the acceleration and deceleration in m/s² of its vehicle.
 
-    Returns the driver's highest value of each limit that it exceeded, as ``"acceleration"`` and ``"deceleration"``.
-    Call it before the driver joins a fleet.
+    The limits hold until the driver is started again. Call this before the driver joins a fleet. The result has the
+    driver's highest value for each exceeded limit, ``"acceleration"`` or ``"deceleration"``.
     """
     fields = Behaviour._fields if driver.kind == BEHAVIOUR else FollowParameters._fields
     parameters, exceeded = driver._fleet.parameters[0], dict[str, float]()
@@ -172,12 +175,13 @@ def build_fleet(
     vehicles: Sequence[ActuatedVehicle | None] = (),
     friction: FloatArray | None = None,
 ) -> Fleet:
-    """Create a fleet of started drivers, so that kernels and `Driver.acceleration` use the same state.
+    """Create a fleet (arrays with the state of started drivers), which kernels and `Driver.acceleration` share.
 
-    The state of the drivers moves into the arrays of the fleet, and the drivers keep views; None stands for a driver
-    without kernels. `driven_rows` has, for each driver, the row of its entity. `length`, `width` and `center_x` are the
-    boxes of all E entities in m. `vehicles` are the started ones of the drivers, if they have some, whose state moves,
-    too; `friction` (N,) is that of the road, and may change. The new fleet has no routes.
+    The state of the drivers moves into the fleet, and the drivers keep views. None stands for a driver without kernels.
+    `driven_rows` has the index of each driver's entity among all E entities. `length`, `width` and `center_x` (E,) are
+    the boxes of all entities in m. `vehicles` has the started vehicle model of each driver, or None; its state moves,
+    too. `friction` (N,) is the friction coefficient of the road in each scenario, and may change later. The new fleet
+    has no routes.
     """
     fleet = _empty_fleet(len(drivers), scenarios, max(len(object_types) - 1, 0))
     fleet = _add_vehicles(fleet, vehicles, np.ones(scenarios) if friction is None else friction)
@@ -191,11 +195,11 @@ def build_fleet(
 
 
 def set_route(fleet: Fleet, driver: int, track: int, path: DrivenPath, changed: BoolArray | None = None) -> Fleet:
-    """Plan a driver's route along a track, and return the fleet with it; an earlier route along this track is replaced.
+    """Plan a driver's route along a path, and return the fleet with this route; its arrays may be new.
 
-    If the path or the driver's limits differ between scenarios, each has a route of its own; `changed` (N,) marks the
-    scenarios in which it has changed, by default all.
-    The arrays of the returned fleet may be new ones.
+    `track` is the number of the path; an earlier route along this track is replaced. If the path or the driver's limits
+    differ between scenarios, each scenario has a route of its own. `changed` (N,) is True for the scenarios whose route
+    is planned again, by default for all.
     """
     limits = fleet.parameters[driver][:, _ROUTE_LIMITS]
     is_same_for_all = path.distance.ndim == 1 and bool((limits == limits[:1]).all())
@@ -217,9 +221,9 @@ def set_route(fleet: Fleet, driver: int, track: int, path: DrivenPath, changed: 
 
 
 def _plan_route_points(path: DrivenPath, limits: FloatArray, rows: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Return points and measures of the routes of some scenarios, as in `Routes`; cached if all share a lane's route.
+    """Return `Routes.points` and `Routes.measures` of the scenarios in `rows`; a single route along a lane is cached.
 
-    `limits` (N, 2) are lateral acceleration and deceleration in m/s².
+    `limits` (N, 2): lateral acceleration and deceleration of the driver in m/s².
     """
     if path.distance.ndim > 1 or len(rows) > 1:
         return _measure_route(path, limits[rows], rows)
@@ -236,7 +240,7 @@ def _measure_route(path: DrivenPath, limits: FloatArray, rows: IntArray) -> tupl
 
 
 def _append_empty_route(routes: Routes, driver: int, track: int, rows: int, samples: int) -> Routes:
-    """Append empty rows of `samples` points each, for the route of a driver along a track."""
+    """Return the routes with `rows` more rows of `samples` points, for a driver's route along path number `track`."""
     padding = ((0, 0), (0, max(track + 1 - routes.row.shape[1], 0)))
     row, counts = np.pad(routes.row, padding, constant_values=-1), np.pad(routes.rows, padding)
     row[driver, track], counts[driver, track] = len(routes.begin), rows
@@ -251,7 +255,7 @@ def _append_empty_route(routes: Routes, driver: int, track: int, rows: int, samp
 
 
 def _remove_route(routes: Routes, driver: int, track: int) -> Routes:
-    """Remove the route of a driver along a track."""
+    """Return the routes without the route of a driver along path number `track`."""
     first, rows = int(routes.row[driver, track]), int(routes.rows[driver, track])
     removed = slice(first, first + rows)
     points = int(routes.samples[removed].sum())
@@ -293,7 +297,7 @@ def _empty_fleet(drivers: int, scenarios: int, others: int) -> Fleet:
 
 
 def _add_vehicles(fleet: Fleet, vehicles: Sequence[ActuatedVehicle | None], friction: FloatArray) -> Fleet:
-    """Return an empty fleet with the vehicles of the entities that have some; these share their tables with it."""
+    """Return an empty fleet with the vehicle models of its drivers (None: no model), which then use its arrays."""
     equipped = [(d, vehicle) for d, vehicle in enumerate(vehicles) if vehicle is not None]
     if equipped:
         tables = [vehicle.tables for _, vehicle in equipped]
@@ -311,7 +315,7 @@ def _add_vehicles(fleet: Fleet, vehicles: Sequence[ActuatedVehicle | None], fric
 
 
 def set_half_widths(fleet: Fleet, driver: int, track: int, half_widths: FloatArray) -> Fleet:
-    """Return the fleet with half the width of the lane at each sample of a track, which the caller keeps alive."""
+    """Add half the lane width in m at each sample of path number `track`; the caller must keep the array alive."""
     addresses = np.pad(fleet.half_widths, ((0, 0), (0, max(track + 1 - fleet.half_widths.shape[1], 0))))
     addresses[driver, track] = memory_address(half_widths)
     return fleet._replace(half_widths=addresses)

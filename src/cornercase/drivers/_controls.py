@@ -1,4 +1,4 @@
-"""What a driving function decides: for one scenario as `Control`, for a batch as `Controls`."""
+"""Decisions of a driving function: for one scenario as `Control`, for many at once as `Controls`."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ _UNITS: Final = {
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Where the reference point of the ego is to be, from now on.
+    """Planned positions of the ego's reference point at given times, from now on.
 
-    A scenario fails if this is farther away than the ego gets in a time step: 10 m, and twice the way at its
-    ``maxSpeed``, or at 100 m/s without one. Without a vehicle model, an ego that is to be behind where it is drives
-    backwards: it keeps its heading, and its speed is negative. A pedestrian turns around.
+    A scenario fails if the next position is too far away: more than 10 m plus twice the distance that the ego drives in
+    a time step at its ``maxSpeed`` (100 m/s if there is none). Without a vehicle model, an ego whose next position is
+    behind drives backwards: the heading stays, and the speed is negative. A pedestrian turns around instead.
 
     Attributes
     ----------
@@ -40,8 +40,9 @@ class Trajectory:
     x, y : ndarray of float64, shape (P,)
         Position in m, in the axes of the map.
     heading, speed : ndarray of float64, shape (P,), optional
-        Heading in rad and speed in m/s that the ego has where it follows exactly, without a vehicle model. By default
-        they are those of its motion in a time step. With a vehicle model the speeds say how it accelerates.
+        Heading in rad and speed in m/s at the points. Without a vehicle model, the ego has exactly these values; by
+        default they follow from its motion in each time step. With a vehicle model, headings have no effect, and the
+        speeds guide the acceleration.
 
     Raises
     ------
@@ -81,38 +82,38 @@ class Trajectory:
 
 @dataclass(frozen=True)
 class Control:
-    """What a system under test decides in one time step, for one scenario.
+    """Decision of a system under test for one time step of one scenario.
 
-    Give one of: an acceleration; throttle and brake; a trajectory. A steering angle may be given with an acceleration
-    or with throttle and brake; without one, the ego follows its path. A request for a lane change may be given with an
-    acceleration; the ego then changes to that lane while it keeps the acceleration.
+    Give an acceleration, or throttle and brake, or a trajectory. With an acceleration or pedals, you may also give a
+    steering angle or request a lane change. Without either, the ego follows its path.
 
-    Without a vehicle model the ego follows its path, a trajectory or a lane change exactly, and the model
-    ``kinematic`` does what it is steered. With one, and once the ego was steered, a tracker steers where the function
-    does not. The ego's path is that of the lane in which its reference point is, if traffic runs its way there; off the
-    road it is the last one.
+    Without a vehicle model, the ego follows its path, a trajectory or a lane change exactly, and the model
+    ``kinematic`` carries out steering angles. With a vehicle model that steers, and after the first steering angle or
+    trajectory, a controller steers along the path whenever the function does not steer. The ego's path is the lane that
+    its reference point is in, if traffic runs in the ego's direction there; off the road, the last path stays.
 
     Attributes
     ----------
     acceleration : float, optional
-        Along the ego's heading, in m/s².
+        Acceleration along the ego's heading in m/s².
     steering : float, optional
         Angle of the front wheels in rad, positive to the left.
     throttle, brake : float, optional
         Pedals from 0 to 1.
     trajectory : Trajectory, optional
-        Where the ego is to be from now on; it is followed until another control is given. Before its first time the ego
-        goes straight to its first point. After its last it keeps its heading, and brakes with 3 m/s² to a stop.
+        Planned positions of the ego, followed until another control is given. Before the first time of the trajectory,
+        the ego goes straight to the first point. After the last time, the ego keeps its heading, and brakes with 3 m/s²
+        to a stop.
     lane_change : {"left", "right"}, optional
-        Change to the neighbouring lane. Only the step in which a request begins counts: the change goes on by itself,
-        and requests during a change are ignored. It takes 4 s, and longer below 5 m/s; it ends if the scenario moves
-        the ego to another place. A request for a lane that is not there, or not for the ego's direction, is ignored
-        with a notice.
+        Side of the neighbouring lane to change to. Only the first step of a request counts: the change goes on by
+        itself, and requests during a change are ignored. A change takes 4 s, and longer below 5 m/s. The change ends
+        early if the scenario moves the ego to another position. If there is no lane for the ego's direction on this
+        side, the request is ignored with a notice.
 
     Raises
     ------
     ValueError
-        If the combination is not one of these, or a number is not finite or out of range.
+        If the combination of values is not allowed, or a number is not finite or out of range.
 
     Examples
     --------
@@ -154,7 +155,7 @@ class Control:
         turns = [name for name in ("steering", "lane_change") if getattr(self, name) is not None]
         if self.trajectory is not None and (self.acceleration is not None or pedals or turns):
             names = [*(["acceleration"] if self.acceleration is not None else []), *pedals, *turns]
-            raise ValueError(f"a trajectory says all of the motion; leave out {' and '.join(names)}")
+            raise ValueError(f"a trajectory already sets the whole motion; leave out {' and '.join(names)}")
         if self.acceleration is not None and pedals:
             raise ValueError(
                 f"acceleration and {pedals[0]} exclude each other; give acceleration, or throttle and brake"
@@ -162,7 +163,7 @@ class Control:
         if self.acceleration is None and not pedals and self.trajectory is None:
             if turns:
                 raise ValueError(
-                    f"{turns[0]} needs to know how fast; give acceleration, or throttle and brake, with it"
+                    f"{turns[0]} alone does not set the speed; also give acceleration, or throttle and brake"
                 )
             raise ValueError(
                 "a control has to decide something; give acceleration, throttle and brake, or a trajectory"
@@ -172,7 +173,7 @@ class Control:
 
     @classmethod
     def from_returned(cls, returned: object) -> Self:
-        """Return what a function returned as a control.
+        """Convert the result of a user's step function to a `Control`.
 
         Parameters
         ----------
@@ -186,7 +187,7 @@ class Control:
         Raises
         ------
         ValueError
-            It is something else, or not finite.
+            If `returned` is something else, or not finite.
         """
         if isinstance(returned, cls):
             return returned
@@ -197,18 +198,18 @@ class Control:
 
 @dataclass(frozen=True, eq=False)
 class Controls:
-    """What a driving function decides in one time step, for the N scenarios of a batch.
+    """Decisions of a driving function for one time step, in N scenarios at once.
 
     Attributes
     ----------
     acceleration, steering, throttle, brake : ndarray of float64, shape (N,)
-        As in `Control`; NaN where not given.
+        As in `Control`; NaN in scenarios without this value.
     lane_change : ndarray of int64, shape (N,)
-        Lanes to the left by which to change; 0 for none.
+        Number of lanes to change to the left: 1 for left, -1 for right, 0 for no change.
     trajectories : mapping of int to Trajectory
-        By scenario.
+        Trajectory to follow, by index of the scenario.
     failures : mapping of int to SimulationError
-        By scenario; these scenarios end.
+        Error by index of the scenario; these scenarios end.
 
     Examples
     --------
@@ -230,7 +231,7 @@ class Controls:
 
     @classmethod
     def empty(cls, scenarios: int) -> Controls:
-        """Return controls that decide nothing yet, to be filled.
+        """Return controls without any decision, to be filled in.
 
         Parameters
         ----------
@@ -246,12 +247,12 @@ class Controls:
 
     @classmethod
     def from_acceleration(cls, acceleration: FloatArray) -> Controls:
-        """Return controls that accelerate along the path.
+        """Return controls that only set the acceleration along the path.
 
         Parameters
         ----------
         acceleration : ndarray of float64, shape (N,)
-            In m/s².
+            Acceleration in m/s².
 
         Returns
         -------
@@ -265,14 +266,14 @@ class Controls:
     def from_scalar(
         cls, controls: Sequence[Control | float | None], failures: Mapping[int, SimulationError]
     ) -> Controls:
-        """Return the controls of a batch from one per scenario.
+        """Combine the controls of N single scenarios into one `Controls`.
 
         Parameters
         ----------
         controls : sequence of Control or float, length N
-            A number is an acceleration in m/s². None where there is none.
+            Control of each scenario; a number is an acceleration in m/s², and None is no decision.
         failures : mapping of int to SimulationError
-            By scenario.
+            Errors by index of the scenario.
 
         Returns
         -------

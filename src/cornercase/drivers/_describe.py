@@ -1,4 +1,4 @@
-"""Say who drives an entity, with what, and which options can be searched."""
+"""Description of an entity's driver as text: its parts, their options, and the options that can be searched."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from cornercase.drivers._system_under_test import ScalarFunction
 
 
 def describe_driver(entity: str, driver: DriverLike) -> Iterator[str]:
-    """Yield lines about the driver of an entity: its parts, their options, and the names of these in a search."""
+    """Yield text lines about an entity's driver, sensors and vehicle model: options, and which can be searched."""
     resolved = resolve_driver(driver)
     made = driver_by_name(resolved) if isinstance(resolved, str) else resolved
     yield f"{entity}: driven by {driver if isinstance(driver, str) else made}"
@@ -31,7 +31,7 @@ def describe_driver(entity: str, driver: DriverLike) -> Iterator[str]:
 
 
 def _options_of(part: Any) -> Mapping[str, bool | int | float | str]:
-    """Return the options of a part with their values."""
+    """Return the options of a driver, sensor or vehicle model with their values."""
     if isinstance(part, CompiledDriver):
         options: dict[str, Any] = {name: value for name, value in part.settings.items() if name != "driver"}
     elif isinstance(part, DrivingFunction) and not isinstance(part, ScalarFunction):
@@ -48,7 +48,10 @@ def _options_of(part: Any) -> Mapping[str, bool | int | float | str]:
 
 
 def _searchable_names(parts: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the names of options that are numbers and not given: without its part, if only one part has such a one."""
+    """Yield the names under which numeric options can be searched, except for options that have been given.
+
+    If several parts (driver, sensors, vehicle model) have an option, its name has the part, as in ``radar.range``.
+    """
     numbers = {
         part: [option for option in searchable_options(made) if option not in fixed_options(made)]
         for part, made in parts.items()

@@ -1,4 +1,4 @@
-"""Describe drivers: for studies, as text, and as a command line option."""
+"""Descriptions of drivers: as JSON values for studies, as text, and as a command line option."""
 
 from __future__ import annotations
 
@@ -48,13 +48,13 @@ def record_driver_spec(driver: Driver, name: str, options: Mapping[str, object])
 
 
 def recorded_options(driver: object) -> Mapping[str, object]:
-    """Return the options that a driver was created with by name."""
+    """Return the options with which a driver was created by name; empty for a driver given as an object."""
     _, options = getattr(driver, "__dict__", {}).get(_SPEC_ATTRIBUTE, ("", {}))
     return dict(options)
 
 
 def without_driver_spec(driver: Driver) -> Driver:
-    """Return a driver that was created by name as if it had been given as an object: it runs in this process."""
+    """Remove the stored name and options from a driver, so that it counts as an object and runs in this process."""
     vars(_unwrap(driver.driver if isinstance(driver, EquippedDriver) else driver)).pop(_SPEC_ATTRIBUTE, None)
     return driver
 
@@ -96,24 +96,25 @@ def serialize_driver(driver: str | Driver) -> str | dict[str, Any]:
 def require_storable_drivers(drivers: Mapping[str, object]) -> None:
     """Raise `InputError` for a user's own driver with an option that a study can neither store nor compare.
 
-    What the driver's own `settings` name is stored with them.
+    An option with an entry of the same name in the driver's `settings` is no problem.
     """
     for driver in drivers.values():
         own = _unwrap(driver.driver if isinstance(driver, EquippedDriver) else driver)
         if isinstance(own, Driver | SystemUnderTest) and not is_built_in(own):
-            hint = "give numbers, texts, True or False, or let the driver's `settings` say it under this name"
+            hint = "give numbers, texts, True or False, or add an entry of this name to the driver's `settings`"
             require_storable_options(own, own.settings, hint)
 
 
 def _unwrap(driver: object) -> Any:
-    """Return the object of the user that a driver hands the scenarios to, or the driver itself."""
+    """Return the user's object behind an adapter (`ScalarFunction`), or the driver itself."""
     return driver.prototype if isinstance(driver, ScalarFunction) else driver
 
 
 def _source_file_checksum(cls: type) -> str:
-    """SHA-256 of the file that defines a class, from when the class was first seen; empty if there is no file.
+    """Return the SHA-256 of the file that defines a class, as first read; an empty text if there is no file.
 
-    Of a class in the main script only its own lines count, since the script may change before it continues a study.
+    For a class in the main script, only the lines of the class count: the rest of the script may change before the
+    script continues a study.
     """
     # A module edited in the meantime is not reloaded.
     if cls not in _checksums:
@@ -129,8 +130,8 @@ def _source_file_checksum(cls: type) -> str:
 def driver_command_option(description: object) -> str | None:
     """Return the command line option that creates a driver again, such as ``"my_aeb:Aeb:reaction=0.3"``.
 
-    None if unknown. `description` comes from a study, so its content is not trusted. An object that was created in
-    Python has no option.
+    Returns None for an object that was created in Python, which has no option. `description` comes from a study, so
+    its content is not trusted.
     """
     if isinstance(description, str):
         return description
@@ -158,9 +159,9 @@ def driver_command_option(description: object) -> str | None:
 
 
 def user_driver_spec(driver: str | Driver) -> str | None:
-    """Return name and options of a driver that a user chose by name.
+    """Return the name with options of a user's own driver that was created by name, such as ``"my_aeb:Aeb"``.
 
-    None for cornercase's own drivers and for objects.
+    Returns None for drivers of cornercase and for drivers that were given as objects.
     """
     if isinstance(driver, str):
         factory = DRIVERS.get_factory(split_spec(driver)[0].partition(":")[0])
@@ -194,7 +195,7 @@ def format_driver(description: object) -> str:
     if isinstance(options, Mapping):
         parts += [f"{key}={format_option_value(value)}" for key, value in options.items()]
     else:
-        # Without options, only its settings distinguish it.
+        # Without options, only the settings distinguish a driver from others.
         settings = description.get("settings")
         values = settings if isinstance(settings, Mapping) else description
         parts += [

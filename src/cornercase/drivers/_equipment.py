@@ -19,16 +19,16 @@ class EquippedDriver(Driver):
     Parameters
     ----------
     driver : Driver or SystemUnderTest
-        Who decides.
+        Driver that decides.
     sensors : sequence of Sensor, optional
-        Stand between the true traffic and the driver; without any, it is given the true traffic.
+        Sensors through which the driver sees the traffic; without sensors, the driver is given the true traffic.
     vehicle : VehicleModel, optional
-        Without one, the vehicle does at once what the driver decides.
+        Vehicle model; without a model, the entity does at once what the driver decides.
 
     Raises
     ------
     InputError
-        `driver` is a name.
+        If `driver` is a name.
 
     Examples
     --------
@@ -41,7 +41,9 @@ class EquippedDriver(Driver):
         self, driver: Driver | SystemUnderTest, sensors: Sequence[Sensor] = (), vehicle: VehicleModel | None = None
     ) -> None:
         if isinstance(driver, str):
-            raise InputError(f"`driver` {driver}: give a driver, as in EquippedDriver(DRIVERS.create({driver!r})).")
+            raise InputError(
+                f"`driver` {driver}: is a name; give a driver, as in EquippedDriver(DRIVERS.create({driver!r}))."
+            )
         self.driver: Driver = ScalarFunction(driver) if isinstance(driver, SystemUnderTest) else driver
         self.sensors, self.vehicle = tuple(sensors), vehicle
         self.settings = {
@@ -52,14 +54,14 @@ class EquippedDriver(Driver):
 
     @property
     def equipment(self) -> tuple[Sensor | VehicleModel, ...]:
-        """The sensors and the vehicle."""
+        """Sensors and vehicle model of the driver."""
         return (*self.sensors, *(() if self.vehicle is None else (self.vehicle,)))
 
     def __str__(self) -> str:
         return SEPARATOR.join(map(str, (self.driver, *self.equipment)))
 
     def start(self, scenarios: int, others: int) -> None:
-        """Reset the driver; sensors and vehicle start with the batch.
+        """Reset the driver; the simulator resets sensors and vehicle model by itself.
 
         Parameters
         ----------
@@ -69,7 +71,7 @@ class EquippedDriver(Driver):
         self.driver.start(scenarios, others)
 
     def acceleration(self, situation: Situation) -> FloatArray:
-        """Return what the driver decides, without sensors and vehicle.
+        """Return the acceleration that the driver decides, without sensors and vehicle model.
 
         Parameters
         ----------
@@ -79,13 +81,13 @@ class EquippedDriver(Driver):
         Returns
         -------
         ndarray of float64, shape (N,)
-            In m/s².
+            Acceleration in m/s².
         """
         return self.driver.acceleration(situation)
 
 
 def equip(driver: Driver, equipment: Sequence[str]) -> Driver:
-    """Give a driver the sensors and the vehicle of these names; `InputError` for an unknown one."""
+    """Return a driver with the sensors and the vehicle model of these names; raises `InputError` if one is unknown."""
     if not equipment:
         return driver
     sensors, vehicle = list[Sensor](), None

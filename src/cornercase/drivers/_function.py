@@ -1,4 +1,4 @@
-"""Driving functions: drivers that decide more than an acceleration, for all scenarios of a batch."""
+"""Driving functions: drivers that can also steer, follow trajectories and change lanes."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ class Body:
     Attributes
     ----------
     name, object_type : str
-        Name of the entity; vehicle category, ``"pedestrian"`` or ``"misc"``.
+        Name of the entity, and its category: a vehicle category such as ``"car"``, ``"pedestrian"`` or ``"misc"``.
     length, width, center_x : float
-        Bounding box in m, as in a recording.
+        Length and width of the bounding box, and position of its centre ahead of the reference point, in m.
     wheelbase : float
-        Distance of the axles in m; by default 0.6 of the length.
+        Distance between the axles in m; by default 0.6 of the length.
     max_steering : float
         Largest angle of the front wheels in rad.
     max_speed, max_acceleration, max_deceleration : float
@@ -36,7 +36,7 @@ class Body:
 
     Examples
     --------
-    A driving function reads it when a batch starts:
+    A driving function reads the limits of its vehicle before the first step:
 
     >>> import cornercase as cc
     >>> from cornercase.drivers import Controls, DrivingFunction
@@ -65,29 +65,29 @@ class Body:
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """What a driving function, a sensor and a vehicle know when a batch of N scenarios starts.
+    """Information for driving functions, sensors and vehicle models when N scenarios start to be simulated together.
 
     Attributes
     ----------
     body : Body
         The driven vehicle.
     time_step : float
-        In s.
+        Duration of a time step in s.
     parameters : mapping of str to ndarray of float64, shape (N,)
-        Own parameters that differ between scenarios, such as ``"reaction"`` for a dimension ``Ego.reaction``. An
-        `AttachedDriver` is given those of all its parts; driver, sensors and vehicle are given their own.
+        Options that differ between scenarios, such as ``"reaction"`` if ``Ego.reaction`` is a dimension of the search.
+        The driver, each sensor and the vehicle model are given their own options; an `AttachedDriver` is given all.
     values : tuple of mapping, length N
-        Values of the scenario file's parameters that differ from those in the file, by scenario.
+        For each scenario, the values of the scenario file's parameters that differ from the values in the file.
     seeds : sequence of int, length N
-        Seed of each scenario and run. The same scenario in the same run of the same study has the same seed, whatever
-        the batch and the number of workers.
+        Seed of each scenario. The same scenario in the same run of the same study has the same seed, for any number of
+        scenarios and worker processes.
     others : tuple of str, length A
         Names of the other entities.
     network : RoadNetwork or None
         The roads.
     friction : ndarray of float64, shape (N,)
-        Friction coefficient of the road: the scenario's ``frictionScaleFactor``, with which it changes during the
-        batch; 1 as long as there is none.
+        Friction coefficient of the road: the scenario's ``frictionScaleFactor``, or 1 before the scenario sets one. The
+        values change when the scenario changes the friction.
 
     Examples
     --------
@@ -119,14 +119,14 @@ class Start:
         return len(self.seeds)
 
     def generator(self, scenario: int, purpose: str) -> np.random.Generator:
-        """Return the random generator of a scenario.
+        """Return a random generator for one scenario and one purpose.
 
         Parameters
         ----------
         scenario : int
-            Its number in the batch.
+            Index of the scenario.
         purpose : str
-            Such as the name of a sensor: each purpose has random numbers of its own, for each driven entity.
+            Any text, such as the name of a sensor; each purpose of each driven entity has its own random numbers.
 
         Returns
         -------
@@ -136,11 +136,12 @@ class Start:
 
 
 class DrivingFunction(Driver):
-    """A driver that decides controls for a batch: adapters of what users attach derive from it.
+    """Base class of drivers that can also steer, follow trajectories and change lanes, in many scenarios at once.
 
-    `prepare` is called once per batch, before the first step; `Start.parameters` has a value for each scenario of those
-    `numeric_parameters` that are dimensions of a search. `decide` is called in each step once per path, with the
-    mask ``active`` as in `Driver.acceleration`. `release` is called when the batch has ended, also after a failure.
+    A batch is a set of scenarios that are simulated together. `prepare` is called once per batch, before the first
+    step; `Start.parameters` then has, for each of the `numeric_parameters` that is a dimension of a search, one value
+    per scenario. `decide` is called once per path in each step, with the mask ``active`` as in `Driver.acceleration`.
+    `release` is called at the end of the batch, also after a failure.
 
     Examples
     --------
@@ -158,30 +159,30 @@ class DrivingFunction(Driver):
     """
 
     options_may_vary: ClassVar[bool] = False
-    """Whether an option that it is given can be a dimension of a search, too."""
+    """True if an option that was given can still be a dimension of a search."""
 
     def options_in_force(self) -> Mapping[str, object]:
-        """Return its options with their values, for people.
+        """Return the options of the function with their values, for display.
 
         Returns
         -------
         mapping of str to object
-            By default those that are numbers.
+            By default the numeric options.
         """
         return self.numeric_parameters()
 
     def prepare(self, start: Start) -> None:
-        """Reset all state at the start of a batch; does nothing by default.
+        """Reset all state before a batch (scenarios simulated together) starts; does nothing by default.
 
         Parameters
         ----------
         start : Start
-            What is known then.
+            Vehicle, parameters, seeds and roads of the scenarios.
         """
 
     @abstractmethod
     def decide(self, situation: Situation) -> Controls:
-        """Decide the coming time step.
+        """Return the decisions for the coming time step.
 
         Parameters
         ----------
@@ -191,16 +192,16 @@ class DrivingFunction(Driver):
         Returns
         -------
         Controls
-            Those of scenarios that are not active are ignored.
+            Decisions in scenarios that are not active are ignored.
         """
 
     def describe(self) -> Sequence[str]:
-        """Return lines about it that `cornercase check` prints; none by default.
+        """Return text lines about the function, which `cornercase check` prints; none by default.
 
         Returns
         -------
         sequence of str
-            Such as what is connected to what.
+            Lines such as which inputs and outputs are connected.
         """
         return ()
 
@@ -218,6 +219,6 @@ class DrivingFunction(Driver):
         Returns
         -------
         ndarray of float64, shape (N,)
-            In m/s²; NaN where it decides something else.
+            Acceleration in m/s²; NaN in scenarios in which `decide` gives something else, such as a trajectory.
         """
         return self.decide(situation).acceleration

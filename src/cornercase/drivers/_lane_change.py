@@ -1,4 +1,4 @@
-"""A change to another lane: its lateral profile, and the motion along it."""
+"""Lane change of a vehicle: its lateral offset over time, and the motion that follows from it."""
 
 from __future__ import annotations
 
@@ -15,16 +15,17 @@ DURATION: Final = 4.0
 """Time in s that a lane change takes."""
 # m/s; below this speed a change takes longer, in proportion, so that the vehicle does not slide sideways.
 _FULL_SPEED: Final = 5.0
-# m; a vehicle that lags behind the profile has arrived when it is this near.
+# m; a vehicle that lags behind the profile has arrived when it is this near to it.
 _ARRIVED: Final = 0.3
 
 
 @dataclass
 class LaneChange:
-    """A change to the lane along `path`, which begins `start_offset` m to the left of it.
+    """Change of a vehicle to another lane with the given path, from `start_offset` m to the left of this path.
 
-    The offset from that path shrinks as a quintic polynomial of time, whose speed and acceleration are 0 at both ends.
-    `progress` goes from 0 to 1; `distance` is about where on the path the vehicle is, in m.
+    The profile is the planned lateral offset from the path. The offset shrinks as a quintic polynomial of time, with
+    lateral speed and acceleration 0 at both ends. `progress` goes from 0 to 1. `distance` is the approximate position
+    of the vehicle along the path in m.
 
     Source of the polynomial: M. Werling et al., "Optimal trajectory generation for dynamic street scenarios in a Frenét
     frame", ICRA 2010.
@@ -37,18 +38,18 @@ class LaneChange:
 
     @classmethod
     def begin(cls, path: DrivenPath, x: float, y: float) -> LaneChange:
-        """Begin a change at a position."""
+        """Create a change that begins at a position in m."""
         nearest = int(np.argmin(np.hypot(path.x - x, path.y - y)))
         change = cls(path, float(path.distance[nearest]), 0.0)
         change.start_offset = float(change._locate(x, y, 0.0).offset[0])
         return change
 
     def advance(self, speed: float, dt: float) -> None:
-        """Advance the profile by a time step, in which the vehicle has this speed in m/s."""
+        """Advance the progress of the change by a time step `dt` in s, at a speed in m/s."""
         self.progress = min(self.progress + dt / DURATION * min(abs(speed) / _FULL_SPEED, 1.0), 1.0)
 
     def move(self, x: float, y: float, speed: float, dt: float) -> tuple[float, float, float]:
-        """Return the pose after a time step along the profile, at a speed in m/s."""
+        """Return x, y and heading after a time step `dt` in s of exact motion along the change, at a speed in m/s."""
         at = float(self._locate(x, y, 0.0).along[0])
         before = self._offset()
         self.advance(speed, dt)
@@ -65,9 +66,9 @@ class LaneChange:
         return on_x - offset * math.sin(direction), on_y + offset * math.cos(direction), heading
 
     def locate(self, x: float, y: float, heading: float, speed: float, dt: float, response: float) -> PosesOnPath:
-        """Return a pose relative to the profile at the end of a time step, for a tracker that steers along it.
+        """Advance the change by a time step `dt` in s, and return the given pose relative to the planned motion.
 
-        `response` is the time in s by which the wheels are late.
+        A controller steers along the planned motion from this. `response` is the time in s by which the wheels lag.
         """
         pose = self._locate(x, y, heading, speed * (0.5 * dt + response))
         self.distance = float(pose.along[0])
@@ -79,7 +80,7 @@ class LaneChange:
         return PosesOnPath(pose.along, pose.offset - self._offset(), pose.turn - turn, pose.curvature + bend)
 
     def has_arrived(self, offset: float) -> bool:
-        """Return whether the profile is over, and the vehicle near its end; `offset` in m from the profile."""
+        """Return whether the change is over and the vehicle is near the planned motion, `offset` m away from it."""
         return self.progress >= 1.0 and abs(offset) < _ARRIVED
 
     def _locate(self, x: float, y: float, heading: float, ahead: float = 0.0) -> PosesOnPath:
@@ -90,15 +91,15 @@ class LaneChange:
         return self.start_offset * (1.0 - p * p * p * (10.0 - 15.0 * p + 6.0 * p * p))
 
     def _rate(self, speed: float) -> float:
-        """Progress per m."""
+        """Return the progress per m of motion."""
         return 1.0 / (DURATION * max(abs(speed), _FULL_SPEED))
 
     def _slope(self, speed: float) -> float:
-        """Lateral motion per m of motion."""
+        """Return the lateral motion per m of motion."""
         p = self.progress
         return -30.0 * self.start_offset * p * p * (1.0 - p) ** 2 * self._rate(speed)
 
     def _bend(self, speed: float) -> float:
-        """Curvature of the profile in 1/m."""
+        """Return the curvature of the planned motion relative to the path in 1/m."""
         p = self.progress
         return -60.0 * self.start_offset * p * (1.0 - p) * (1.0 - 2.0 * p) * self._rate(speed) ** 2

@@ -1,4 +1,4 @@
-"""Lanes as paths of drivers, and the lanes beside them."""
+"""Paths of drivers along lanes, and along neighbouring lanes."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class PathAlongLanes(DrivenPath):
 
 
 def driven_path(lane_path: LanePath) -> PathAlongLanes:
-    """Return the path along a lane for drivers; it is cached, so that all batches share the plans along it."""
+    """Return a lane's path for drivers; the path is cached, so that speed plans along it are computed only once."""
     if "driven path" not in lane_path.cache:
         columns = (lane_path.distance, lane_path.x, lane_path.y, lane_path.heading, lane_path.curvature)
         lane_path.cache["driven path"] = PathAlongLanes(*columns, lane_path)
@@ -34,7 +34,10 @@ def driven_path(lane_path: LanePath) -> PathAlongLanes:
 def find_neighbouring_path(
     network: RoadNetwork, x: float, y: float, heading: float, lanes_to_left: int
 ) -> DrivenPath | None:
-    """Return the path along the lane beside the one at a pose; None if traffic does not run there in this direction."""
+    """Return the path along a lane next to the lane at a pose; None if no lane for this direction is there.
+
+    `lanes_to_left` is 1 for the next lane to the left, -1 for the next to the right.
+    """
     location = network.locate(np.array([x]), np.array([y]))
     number, lane, s = int(location.road[0]), int(location.lane[0]), location.s
     road = network.roads[number]

@@ -1,4 +1,4 @@
-"""Name a driver as it has to be written, where its file or program was given alone."""
+"""Hints on drivers that were given as a file or command, without the prefix of their name such as ``fmu:``."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _CLASS_FILE: Final = re.compile(r"(?P<module>[^:\s]+)\.py(:(?P<options>.+))?")
 
 
 def suggest_prefix(name: str) -> str | None:
-    """Say how to name the FMU, class or program whose file or command was given alone; None for other names."""
+    """Return how to name a driver that was given as a file or command without a prefix; None for other names."""
     if _FMU.fullmatch(name):
         return f"an FMU is named as 'fmu:{name}'"
     if file := _CLASS_FILE.fullmatch(name):
@@ -21,7 +21,7 @@ def suggest_prefix(name: str) -> str | None:
         program = "" if options else f", a program as 'exec:python {name}'"
         return f"a class is named as '{module.name}:{options or 'Class'}'{folder}{program}"
     if name.endswith(".toml"):
-        return f"a file that says who drives stands without an entity, as in --sut {name}"
+        return f"give a file that names the drivers without an entity, as in --sut {name}"
     if name.isidentifier() and Path(f"{name}.py").is_file():
         return f"a class of {name}.py is named as '{name}:Class'"
     command = _as_command(name)
@@ -29,7 +29,7 @@ def suggest_prefix(name: str) -> str | None:
 
 
 def add_prefix(name: str) -> str:
-    """Return the text that names an FMU or a program, given as a file or command alone; any other text as it is."""
+    """Add the prefix ``fmu:`` or ``exec:`` to a file or command; any other text is returned unchanged."""
     if name.startswith(("fmu:", "exec:")):
         return name
     return f"fmu:{name}" if _FMU.fullmatch(name) else _as_command(name) or name

@@ -1,4 +1,4 @@
-"""From what a driver decides to how its vehicle moves, for all scenarios of a batch."""
+"""Motion of a vehicle that follows from the decisions of its driver, in many scenarios at once."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ _DEFAULT_VEHICLE: Final = "kinematic"
 
 @dataclass(frozen=True, eq=False)
 class DrivenMotion:
-    """Motion at the end of a step, for N scenarios.
+    """Motion of a vehicle at the end of a time step, in N scenarios.
 
-    Where `is_steered` (N,), the vehicle has the pose in `state`. Where not, it goes along its path, and only its speed
-    counts. Where `is_tracked` (N,), nothing but a tracker steers it, along its path.
+    If `is_steered` (N,), the vehicle has the pose in `state`. If not, the vehicle goes along its path, and only the
+    speed in `state` counts. If `is_tracked` (N,), the driver did not steer, and a controller steered along the path.
     """
 
     state: PlanarMotion
@@ -39,10 +39,11 @@ class DrivenMotion:
 
 @dataclass(eq=False)
 class _Memory:
-    """What is going on in each scenario.
+    """State of a vehicle's maneuvers in N scenarios.
 
-    `is_free` (N,): whether it was ever steered, so a tracker has to steer. `left_x`, `left_y` (N,): where the last step
-    has left it.
+    `is_free` (N,): True if the vehicle no longer follows its path exactly, so a controller must steer along the path.
+    `last_request` (N,): last request of a lane change, in lanes to the left. `left_x`, `left_y` (N,): position in m at
+    the end of the last step. `followed`, `changes`: present trajectories and lane changes by index of the scenario.
     """
 
     is_free: BoolArray
@@ -54,18 +55,18 @@ class _Memory:
 
 
 class Mover:
-    """Moves the vehicle of a driver.
+    """Motion of a driver's vehicle, step by step, with or without a vehicle model.
 
-    Without steering, it goes along its path: exactly without a vehicle model and as long as it was never steered, else
-    a tracker steers it. Trajectories and lane changes are followed exactly without a vehicle model, else by a tracker.
-    `note_missing_lane` is called with the time of each request for a lane that is not there, and its side.
+    Without a vehicle model, the vehicle follows trajectories exactly, and also its path and lane changes until the
+    driver first steers or gives a trajectory. Otherwise a controller steers along these if the driver does not steer.
+    `note_missing_lane` is called with the time and the side of each request for a lane that is not there.
     """
 
     def __init__(self, vehicle: VehicleModel | None, note_missing_lane: Callable[[float, str], None]) -> None:
         self._vehicle, self._note_missing_lane = vehicle, note_missing_lane
 
     def start(self, start: Start) -> None:
-        """Reset all state for a batch."""
+        """Reset all state before the first step of the scenarios."""
         self._start = start
         self._steered = self._vehicle if self._vehicle is not None and self._vehicle.steers else None
         n = start.scenarios
@@ -80,9 +81,10 @@ class Mover:
     def step(
         self, situation: Situation, begin: PlanarMotion, controls: Controls, acceleration: FloatArray, active: BoolArray
     ) -> DrivenMotion:
-        """Return the motion in the active scenarios; `acceleration` (N,) is NaN where a trajectory is followed.
+        """Return the motion at the end of a time step in the active scenarios.
 
-        `begin` is the motion at the start of the step.
+        `begin` is the motion at the start of the step. `acceleration` (N,) in m/s² is NaN in scenarios that follow a
+        trajectory.
         """
         memory, dt, time = self._memory, situation.time_step, situation.time
         self._begin_maneuvers(time, begin, controls, active)
@@ -133,13 +135,13 @@ class Mover:
         return DrivenMotion(PlanarMotion(x, y, heading, speed, (speed - begin.speed) / dt), is_steered, is_tracked)
 
     def follows_trajectory(self, controls: Controls) -> BoolArray:
-        """Return in which scenarios the driver gives a trajectory, or one is followed, (N,)."""
+        """Return a mask (N,) of the scenarios in which a trajectory is given now or is being followed."""
         result = np.zeros(len(controls.acceleration), dtype=np.bool_)
         result[[*controls.trajectories, *self._memory.followed]] = True
         return result
 
     def _begin_maneuvers(self, time: float, begin: PlanarMotion, controls: Controls, active: BoolArray) -> None:
-        """Begin and end trajectories and lane changes as the driver asks."""
+        """Begin and end trajectories and lane changes as the driver requests."""
         memory = self._memory
         if not (controls.trajectories or memory.followed or memory.changes or any_true(controls.lane_change != 0)):
             memory.last_request[active] = 0.0
@@ -181,7 +183,7 @@ class Mover:
     def _continue_change(
         self, n: int, begin: PlanarMotion, speed: float, steering: FloatArray, dt: float
     ) -> tuple[float, float, float] | None:
-        """Go on with a lane change; return the pose if it is followed exactly, else steer along it."""
+        """Continue a lane change: return the new pose if followed exactly, otherwise set the steering angle."""
         change, x, y = self._memory.changes[n], float(begin.x[n]), float(begin.y[n])
         if not self._memory.is_free[n]:
             pose = change.move(x, y, speed, dt)
@@ -196,7 +198,7 @@ class Mover:
         return None
 
     def _track_path(self, situation: Situation, begin: PlanarMotion, steering: FloatArray, rows: BoolArray) -> None:
-        """Steer along the path in the scenarios of a mask."""
+        """Set the steering angles that follow the path, in the scenarios of the mask `rows`."""
         if rows.any():
             ahead = begin.speed * (0.5 * situation.time_step + self._response)
             poses = locate_on_path(situation.path, situation.distance, begin.x, begin.y, begin.heading, ahead)

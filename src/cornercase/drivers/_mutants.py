@@ -42,17 +42,17 @@ MUTATIONS: Final = (
     Mutation("faster in curves", "lateral_acceleration", 1.2, 3.0),
     Mutation("accelerates more", "acceleration", 1.2, 3.0),
 )
-"""Mutations of the presets; a preset gets those of its own parameters."""
+"""Changes that make a preset worse; each preset uses the mutations of the parameters that it has."""
 
 
 @dataclass(frozen=True)
 class Mutant:
-    """A driver that is worse in one respect.
+    """Mutant of a driver, which is worse in one respect, for mutation testing.
 
     Attributes
     ----------
     driver : str
-        Name that creates it, such as ``"normal:reaction_time=0.8"``.
+        Name that creates the mutant, such as ``"normal:reaction_time=0.8"``.
     mutation : str
         What was changed, in words.
 
@@ -69,7 +69,7 @@ class Mutant:
 
 
 def generate_mutants(driver: str, count: int, seed: int = 0) -> tuple[Mutant, ...]:
-    """Draw mutants of a driver.
+    """Draw mutants of a driver, each worse in one parameter.
 
     The mutations take turns in random order. The severity of a mutant, from mild to severe on a logarithmic scale,
     follows the additive recurrence with the golden ratio from a random start for each mutation, which leaves no gaps.
@@ -79,7 +79,7 @@ def generate_mutants(driver: str, count: int, seed: int = 0) -> tuple[Mutant, ..
     driver : str
         A preset, possibly with options: ``"normal:horizon=4"``; or a class of your own that declares `mutations`:
         ``"my_aeb:Aeb:reaction=0.3"``; or an FMU or a program with a file of mutations:
-        ``"fmu:aeb.fmu:mutations=mutations.toml"``. It keeps its sensors and its vehicle.
+        ``"fmu:aeb.fmu:mutations=mutations.toml"``. The mutants keep its sensors and its vehicle model.
     count : int
         Number of mutants. A larger number only adds to the mutants of a smaller one.
     seed : int, default 0
@@ -150,10 +150,10 @@ def _set_driver_option(driver: str, parameter: str, value: float) -> str:
 
 
 def mutable_driver_name(driver: str | Driver | Mapping[str, object]) -> str:
-    """Name of a driver that can have mutants: of a class, FMU or program of the user with mutations, else of a preset.
+    """Return the name of a driver that can have mutants: a user's class, FMU or program, or else the nearest preset.
 
-    Accepts a name, a driver, or its settings as stored in a study. A name, which a file may give, and stored settings
-    never load code of the user. Raises `InputError` for any other driver.
+    `driver` is a name, a driver, or a driver's settings as stored in a study. Names and stored settings may come from a
+    file, so code of users is not loaded for them. Raises `InputError` for a driver that cannot have mutants.
     """
     if isinstance(driver, Driver) and (own := user_driver_spec(driver)) is not None:
         _mutations_and_parameters(own)
@@ -166,19 +166,19 @@ def mutable_driver_name(driver: str | Driver | Mapping[str, object]) -> str:
         return name
     if isinstance(driver, Mapping) and "sha256" in driver:
         raise InputError(
-            f"Mutants of the driver {driver.get('driver')}, which the study names, need its code; name it with"
+            f"The study only names the driver {driver.get('driver')}, but mutants need its code; give the driver with"
             " `drivers`."
         )
     return nearest_preset_name(driver)
 
 
 def is_own_driver_name(name: str) -> bool:
-    """Whether the name of a mutant is that of a class of the user."""
+    """Return whether the name of a driver stands for a class of the user, not for a registered driver."""
     return not is_registered_driver(name)
 
 
 def _mutations_and_parameters(driver: str) -> tuple[Sequence[Mutation], dict[str, float]]:
-    """Return what can be made worse in a driver, and the values of its numeric parameters."""
+    """Return the mutations that are possible in a driver, and the values of its numeric parameters."""
     name, _ = split_spec(driver)
     if takes_text(name):
         attached = _with_mutations(name)
@@ -203,7 +203,7 @@ def _mutations_and_parameters(driver: str) -> tuple[Sequence[Mutation], dict[str
 
 @runtime_checkable
 class HasMutableText(Protocol):
-    """An FMU or a program: its text has values of its parameters, and a file says how far they may be off."""
+    """Driver with its parameter values in its text, and mutations from a file: an FMU or a program."""
 
     file_mutations: tuple[Mutation, ...]
 
@@ -216,8 +216,8 @@ def _with_mutations(name: str) -> HasMutableText:
     created = driver_by_name(name)
     if not isinstance(created, HasMutableText) or not created.file_mutations:
         raise InputError(
-            f"The driver '{name}' has no mutants, as nothing says how far its parameters may be off; give a file that"
-            " does, as in its option mutations=mutations.toml."
+            f"The driver '{name}' has no mutants, as no file says how far its parameters may be off; give such a"
+            " file with the option mutations=mutations.toml."
         )
     return created
 
@@ -227,5 +227,5 @@ def _numbers_of(name: str, attached: HasMutableText) -> dict[str, float]:
     for mutation in attached.file_mutations:
         if mutation.parameter not in numbers:
             hint = suggest_name(mutation.parameter, numbers)
-            raise InputError(f"The driver '{name}' has no number '{mutation.parameter}' that may be off; {hint}")
+            raise InputError(f"The driver '{name}' has no numeric parameter '{mutation.parameter}'; {hint}")
     return numbers

@@ -1,4 +1,4 @@
-"""What can be wrong in a driver, for mutation testing."""
+"""Mutation: a change that makes a driver worse, for mutation testing."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ class Mutation:
     parameter : str
         Option of the driver's constructor.
     mild, severe : float
-        Bounds of the factor that the parameter is multiplied by; or of the increase, in its unit.
+        Smallest and largest change: factors that multiply the parameter, or increases in the unit of the parameter.
     is_offset : bool
-        Whether the parameter is increased instead.
+        True if `mild` and `severe` are increases, False if they are factors.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""A file that says what can be wrong in an FMU or a program, for mutation testing."""
+"""File with mutations (changes for the worse) of an FMU or a program, for mutation testing."""
 
 from __future__ import annotations
 
@@ -11,16 +11,18 @@ from cornercase._common.io.files import parse_toml, read_utf8
 from cornercase.drivers._mutation import Mutation
 
 _MAX_BYTES: Final = 1_000_000
-# Factor or increase; with larger ones, numbers overflow.
+# Largest factor or increase; larger values would overflow.
 _LARGEST: Final = 1e6
 _KEYS: Final = ("description", "factor", "increase")
 
 
 def read_mutations(path: Path) -> tuple[Mutation, ...]:
-    """Return the mutations of a file: a table for each option, such as ``[reaction]`` with ``increase = [0.1, 1]``."""
+    """Read mutations from a TOML file with a table for each option: ``[reaction]``, ``increase = [0.1, 1]``."""
     tables = parse_toml(path, read_utf8(path, _MAX_BYTES))
     if not tables:
-        raise InputError(f"{path}: has no option; write a table for each, as in [reaction] with increase = [0.1, 1.0].")
+        raise InputError(
+            f"{path}: has no table; write one for each option, as in [reaction] with increase = [0.1, 1.0]."
+        )
     return tuple(_read_mutation(f"{path}: [{option}]", option, table) for option, table in tables.items())
 
 

@@ -1,4 +1,4 @@
-"""Parameters of drivers, sensors and vehicles that differ between scenarios: ``Ego.reaction``, ``Ego.radar.range``."""
+"""Options of drivers, sensors and vehicle models that differ between scenarios, such as ``Ego.radar.range``."""
 
 from __future__ import annotations
 
@@ -31,7 +31,8 @@ Part = Driver | Sensor | VehicleModel
 def name_parts(driver: Driver) -> dict[str, Part]:
     """Return a driver, its sensors and its vehicle by the name that comes before an option, as in ``radar.range``.
 
-    The driver is ``driver``, the vehicle ``vehicle``, and a sensor has its name; equal ones are numbered from 1 on.
+    The driver is ``driver``, the vehicle model ``vehicle``, and a sensor has its own name. Sensors of the same name are
+    numbered from 1 on.
     """
     if not isinstance(driver, EquippedDriver):
         return {DRIVER: driver}
@@ -45,9 +46,10 @@ def name_parts(driver: Driver) -> dict[str, Part]:
 
 
 def find_parameter(entity: str, driver: Driver, name: str) -> tuple[str, str]:
-    """Return the part and the option that a parameter of an entity means; `InputError` if it is none, or one of two.
+    """Return the part (driver, sensor or vehicle model) and the option that a parameter name of an entity means.
 
-    `name` is without the entity: an option that only one part has, or one with its part as in ``radar.range``.
+    `name` is without the entity: an option, or a part and its option as in ``radar.range``. Raises `InputError` if no
+    part has this option, or if several parts have it.
     """
     options = {part: searchable_options(made) for part, made in name_parts(driver).items()}
     matches = [(part, option) for part in options for option in options[part] if name in (option, f"{part}.{option}")]
@@ -88,7 +90,7 @@ def check_parameters(entity: str, driver: Driver, names: Iterable[str]) -> None:
 
 
 def fixed_options(part: Part) -> set[str]:
-    """Return the names of the options that a part was given."""
+    """Return the options that a driver, sensor or vehicle model was given, which a search cannot vary."""
     if isinstance(part, DrivingFunction) and part.options_may_vary:
         return set()
     made: object = part.prototype if isinstance(part, ScalarFunction) else part
@@ -102,7 +104,7 @@ def fixed_options(part: Part) -> set[str]:
 
 
 def is_same_in_batch(driver: Driver, part: str) -> bool:
-    """Whether the options of a part have to be the same in all scenarios of a batch: those of an array driver."""
+    """Return whether a part is one object for all scenarios, with the same options: a `Driver` class of a user."""
     made = name_parts(driver)[part]
     can_vary = isinstance(made, DrivingFunction) or (isinstance(made, VariedDriver) and is_built_in(type(made)))
     return isinstance(made, Driver) and not can_vary
@@ -111,10 +113,11 @@ def is_same_in_batch(driver: Driver, part: str) -> bool:
 def read_parameters(
     entity: str, driver: Driver, values: Sequence[Mapping[str, object]], *, may_run_code: bool = False
 ) -> tuple[dict[str, FloatArray], dict[int, str]]:
-    """Return `Start.parameters` for N scenarios, and why scenarios have invalid values, by index.
+    """Return an entity's parameters in N scenarios as arrays (N,) by name, and problems with invalid values.
 
-    `values` are by name without the entity, the same names in each scenario. With `may_run_code`, constructors of users
-    check them, too. Arrays have shape (N,); invalid scenarios have the values of another one.
+    `values` has the values of each scenario by name, without the entity. Problems are texts by index of the scenario;
+    the arrays have the values of a valid scenario there. If `may_run_code`, constructors of users' classes check the
+    values, too.
     """
     names = list(values[0]) if values else []
     parts, problems, usable = name_parts(driver), dict[int, str](), dict[tuple[float, ...], str]()
@@ -144,7 +147,7 @@ def read_parameters(
 def split_parameters(
     entity: str, driver: Driver, parameters: Mapping[str, FloatArray]
 ) -> dict[str, dict[str, FloatArray]]:
-    """Return the parameters of each part by option."""
+    """Return the parameters of an entity by part (driver, sensor or vehicle model), then by option."""
     own: dict[str, dict[str, FloatArray]] = {part: {} for part in name_parts(driver)}
     for name, array in parameters.items():
         part, option = find_parameter(entity, driver, name)
@@ -153,12 +156,12 @@ def split_parameters(
 
 
 def rows_of(parameters: Mapping[str, FloatArray], scenarios: int) -> list[dict[str, float]]:
-    """Return the options of each scenario."""
+    """Return the options of each scenario by name, from arrays over the scenarios."""
     return [{name: float(values[n]) for name, values in parameters.items()} for n in range(scenarios)]
 
 
 def spec_with_values(entity: str, driver: Driver, values: Mapping[str, object]) -> str:
-    """Return the text that stands for a driver with further options; the names in `values` are without the entity."""
+    """Return the text that creates a driver with more options; the names in `values` are without the entity."""
     options: dict[str, list[str]] = {}
     for name, value in values.items():
         part, option = find_parameter(entity, driver, name)
@@ -171,9 +174,9 @@ def spec_with_values(entity: str, driver: Driver, values: Mapping[str, object]) 
 
 
 def searchable_options(part: Part) -> tuple[str, ...]:
-    """Return the options that take numbers; those of a driver that has numbers of its own, such as a preset, too."""
+    """Return the names of the numeric options of a driver, sensor or vehicle model, which a search can vary."""
     if isinstance(part, DrivingFunction) and not isinstance(part, ScalarFunction):
-        # Options of the attachment itself, such as a time limit, are none of what drives.
+        # Options of the adapter itself, such as a time limit, are not options of the FMU or program.
         return tuple(part.numeric_parameters())
     made = part.prototype if isinstance(part, ScalarFunction) else part
     declared = options_for_numbers(type(made)) if isinstance(made, Configurable) else []
@@ -181,7 +184,7 @@ def searchable_options(part: Part) -> tuple[str, ...]:
 
 
 def _find_problem(parts: Mapping[str, Part], values: Mapping[tuple[str, str], float], may_run_code: bool) -> str:
-    """Return why the constructor of a part refuses its values; empty if all take them."""
+    """Return why a constructor of a part refuses its values; an empty text if no constructor does."""
     for name, part in parts.items():
         numbers = {option: value for (of_part, option), value in values.items() if of_part == name}
         is_adapter = isinstance(part, DrivingFunction) and not isinstance(part, ScalarFunction)

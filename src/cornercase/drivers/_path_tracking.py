@@ -12,7 +12,11 @@ from cornercase.drivers._base import DrivenPath
 
 
 class PosesOnPath(NamedTuple):
-    """Poses relative to a path, shape (N,) each: m along it, m to the left of it, rad to the left, and its 1/m."""
+    """Poses of N vehicles relative to a path; each array has shape (N,).
+
+    `along`: distance along the path in m. `offset`: distance to the left of the path in m. `turn`: heading relative to
+    the path in rad, positive to the left. `curvature`: curvature of the path in 1/m.
+    """
 
     along: FloatArray
     offset: FloatArray
@@ -23,9 +27,9 @@ class PosesOnPath(NamedTuple):
 def locate_on_path(
     path: DrivenPath, distance: FloatArray, x: FloatArray, y: FloatArray, heading: FloatArray, ahead: FloatArray
 ) -> PosesOnPath:
-    """Return where poses (N,) are on a path; the curvature is that `ahead` m further on, (N,).
+    """Return N poses relative to a path, with the curvature of the path `ahead` m (N,) farther on.
 
-    `distance` (N,) is about where on the path to look.
+    `distance` (N,) is the approximate position along the path in m, where the search begins.
     """
     # Its kernels take long to import.
     from cornercase.drivers._kernels.path_projection import locate_vehicles
@@ -41,7 +45,7 @@ def steer_along_path(
 ) -> FloatArray:
     """Return angles of the front wheels in rad, (N,), that lead the middle of the rear axle to the path and along it.
 
-    `response` is the time in s by which the wheels are late.
+    `response` is the time in s by which the wheels lag behind.
 
     Deviations decay without oscillation, in distance rather than time, so that the speed does not matter.
 

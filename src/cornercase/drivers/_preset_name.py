@@ -1,4 +1,4 @@
-"""Names of the presets that drivers are, or are nearest to."""
+"""Name of the preset that is nearest to a driver, such as ``normal:horizon=4``."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from cornercase.drivers._registry import DRIVERS, is_registered_driver
 
 
 def nearest_preset_name(driver: str | Driver | Mapping[str, object]) -> str:
-    """Name of a driver that can have mutants: the nearest preset, with options for what differs.
+    """Return the name of the preset nearest to a driver, with options for the parameters that differ.
 
-    Accepts a name, a driver, or its settings as stored in a study. Raises `InputError` for any other than cornercase's
-    own drivers with parameters.
+    `driver` is a name, a driver, or a driver's settings as stored in a study. Raises `InputError` if the driver is not
+    one of cornercase's own drivers with parameters.
     """
     if isinstance(driver, str):
         preset_parameters(driver)
@@ -43,7 +43,7 @@ def _is_built_in(driver: Driver) -> bool:
 
 
 def preset_parameters(driver: str) -> dict[str, float]:
-    """Return the parameters of a driver named by a preset, such as `normal:horizon=4`; else raise `InputError`."""
+    """Return the parameters of a preset such as ``normal:horizon=4``; raises `InputError` for any other driver."""
     created = DRIVERS.create(driver) if is_registered_driver(driver) else None
     if not isinstance(created, CompiledDriver):
         raise InputError(

@@ -1,4 +1,4 @@
-"""Parameters of the built-in drivers, and the presets."""
+"""Parameters of the built-in drivers, and the presets ``cautious``, ``normal`` and ``aggressive``."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Behaviour(NamedTuple):
     min_gap : float
         Gap in m to the leader at rest.
     safety_time : float
-        Smallest time in s between the passage of the driver's box and of another box at the same position.
+        Smallest time in s that the driver leaves between its own box and another box at the same position.
     braking_distance : float
         Distance in m from the corridor of a crossing entity at which the driver wants to stop when it yields.
     lateral_margin : float
@@ -147,7 +147,7 @@ AGGRESSIVE = NORMAL._replace(
 
 
 class FollowParameters(NamedTuple):
-    """Parameters of `SimpleDriver`, which documents them."""
+    """Parameters of `SimpleDriver` with their defaults; `SimpleDriver` documents the parameters."""
 
     acceleration: float = 3.0
     comfortable_deceleration: float = 3.0

@@ -1,4 +1,4 @@
-"""Drivers by name."""
+"""Registry of drivers, and texts that name a driver with its sensors and its vehicle model."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ for _reference in ("cc-human", "fsm", "rss", "reg157"):
 
 
 SEPARATOR: Final = " + "
-"""What joins a driver, its sensors and its vehicle in a text."""
+"""Text between a driver, its sensors and its vehicle model, as in ``"normal + radar"``."""
 
 
 def split_spec(spec: str) -> tuple[str, tuple[str, ...]]:
-    """Return the driver, and the sensors and the vehicle, in a text; each with its options.
+    """Split a text such as ``"normal + radar:range=120"`` into the driver, and its sensors and vehicle model.
 
-    A separator that is quoted in the command of a program belongs to the command.
+    In the command of a program, a separator in quotes belongs to the command.
     """
     driver, *equipment = spec.split(SEPARATOR)
     while equipment and driver.lstrip().startswith("exec:") and _is_quote_open(driver):
@@ -46,5 +46,5 @@ def _is_quote_open(command: str) -> bool:
 
 
 def is_registered_driver(name: str) -> bool:
-    """Check whether a name (with or without options and equipment) belongs to a registered driver."""
+    """Check whether a name (with or without options, sensors and vehicle) belongs to a registered driver."""
     return split_spec(name)[0].partition(":")[0] in DRIVERS

@@ -27,7 +27,7 @@ from cornercase.drivers._registry import DRIVERS, is_registered_driver, split_sp
 from cornercase.drivers._system_under_test import ScalarFunction, SystemUnderTest
 
 DriverLike: TypeAlias = str | Driver | SystemUnderTest | Behaviour
-"""What a user may give as a driver."""
+"""Types that a user may give as a driver."""
 
 
 @runtime_checkable
@@ -51,10 +51,10 @@ def is_driver(candidate: object) -> TypeGuard[Driver]:
 
 
 def check_drivers(drivers: object) -> dict[str, str | Driver]:
-    """Return drivers by entity, each as a name or a driver; `InputError` for an unknown name and for anything else.
+    """Return drivers by entity, each as a name or an object; raises `InputError` for anything that is no driver.
 
-    A `Behaviour` becomes the name of its preset, with options, as does an object that is equal to what a name makes: so
-    a study of it can be continued without the object. The module of a user's own driver is not imported.
+    A `Behaviour` becomes the name of its preset with options. An object becomes a name, too, if this name creates an
+    equal driver: so a study can be continued without the object. The module of a user's own driver is not imported.
     """
     if drivers is not None and not isinstance(drivers, Mapping):
         raise InputError(
@@ -112,13 +112,13 @@ def takes_text(name: str) -> bool:
 
 
 def check_reference_driver(name: str) -> None:
-    """Refuse a reference driver that runs a program or file: the conditions of studies and suites name it."""
+    """Raise `InputError` for a driver that runs a program or file, which a condition of a study may not name."""
     if takes_text(name):
         raise InputError(f"the driver '{name}' runs a program or file, which no condition may name; give a class.")
 
 
 def may_be_named_in_file(name: str) -> bool:
-    """Return whether a file that is not trusted may name a driver: creating it runs no code of the user."""
+    """Return whether an untrusted file may name a driver, since creating the driver runs no code of a user."""
     try:
         create_driver_named_in_file(name)
     except InputError:
@@ -127,7 +127,7 @@ def may_be_named_in_file(name: str) -> bool:
 
 
 def find_non_numeric_option(name: str) -> str | None:
-    """Return the first option of a driver that is no number, true or false; None if there is none."""
+    """Return the first option of a driver whose value is neither a number nor true or false; None without one."""
     driver, equipment = split_spec(name)
     if takes_text(driver):
         return driver.partition(":")[2]
@@ -146,7 +146,7 @@ def find_non_numeric_option(name: str) -> str | None:
 
 
 def is_compiled_driver_name(name: str) -> bool:
-    """Check whether a name (with or without options and equipment) makes a registered driver that kernels can run."""
+    """Check whether a name creates a registered driver whose decisions and vehicle compiled code can compute."""
     from cornercase.drivers._attached_driver import AttachedDriver
 
     return is_registered_driver(name) and AttachedDriver(_create_registered(name), "").is_compiled
@@ -155,8 +155,8 @@ def is_compiled_driver_name(name: str) -> bool:
 def load_user_driver(name: str) -> Driver:
     """Create a user's own driver from ``"package.module:Class"``, with options as in ``":reaction=0.3"`` or without.
 
-    The module is imported, so the name must come from the user, never from a file. It is searched among the installed
-    packages, then in the current folder. Raises `InputError` if the driver cannot be created.
+    The module is imported, so the name must come from the user, never from a file. The module is searched among the
+    installed packages, then in the current folder. Raises `InputError` if the driver cannot be created.
     """
     name, equipment = split_spec(name)
     module_name, _, class_and_options = name.partition(":")
@@ -223,7 +223,7 @@ def _own_classes(module: ModuleType) -> list[str]:
 
 
 def _describe_hidden_file(module_name: str) -> str:
-    """Say that another module hides the file of this name in the current folder; empty if none does."""
+    """Return a hint that another module hides the user's file of this name; an empty text if none does."""
     top = module_name.partition(".")[0]
     loaded = getattr(sys.modules.get(top), "__file__", None)
     for file in (Path(f"{top}.py"), Path(top, "__init__.py")):
@@ -240,9 +240,9 @@ def driver_by_name(name: str) -> Driver:
 
 
 def resolve_driver(driver: DriverLike) -> str | Driver:
-    """Create a user's driver from its name or class.
+    """Return what a user gave as a driver as the name of a registered driver, or else as a driver object.
 
-    Return the name of a registered driver unchanged, so that it can be stored.
+    A name of a registered driver stays a name, so that it can be stored, if all its options are numbers.
     """
     if isinstance(driver, SystemUnderTest):
         return ScalarFunction(driver)
@@ -262,7 +262,7 @@ def resolve_driver(driver: DriverLike) -> str | Driver:
 
 
 def _name_of_equal_driver(driver: Driver) -> str:
-    """Name, with options, that makes an equal driver; empty if there is none, or not all of it is cornercase's own."""
+    """Return the registered name, with options, that creates an equal driver; an empty text if there is none."""
     parts = (driver.driver, *driver.equipment) if isinstance(driver, EquippedDriver) else (driver,)
     if not all(map(is_built_in, parts)):
         return ""
@@ -276,7 +276,7 @@ def _name_of_equal_driver(driver: Driver) -> str:
 
 
 def may_steer(driver: str | Driver) -> bool:
-    """Whether a driver may steer its vehicle, or has a vehicle model that steers along the path."""
+    """Return whether a driver may steer its vehicle, or has a vehicle model that steers along the path."""
     made = driver_by_name(driver) if isinstance(driver, str) else driver
     if isinstance(made, EquippedDriver):
         return isinstance(made.driver, DrivingFunction) or (made.vehicle is not None and made.vehicle.steers)

@@ -11,7 +11,7 @@ from cornercase._common.typing import FloatArray, IntArray
 from cornercase.drivers._base import DrivenPath
 
 ROUTE_STEP: Final = 0.5
-"""Sample distance of a route in m, reduced to divide its length; contacts are refined between samples."""
+"""Largest distance between samples of a route in m; reduced so that it divides the length of the route."""
 
 _MAX_SPEED = 100.0
 
@@ -20,7 +20,7 @@ _STRAIGHT_TOLERANCE = 1e-10
 
 
 class Route(NamedTuple):
-    """A path sampled at equal distances, with one row for all scenarios or one row per scenario.
+    """Path sampled at R equal distances for speed planning, with one row for all scenarios or N rows for N scenarios.
 
     `step` (N,): distance between samples in m. `x`, `y` (N, R) in m. `cos`, `sin` (N, R): of the heading.
     `max_speed_squared` (N, R): square of the highest speed that the curves ahead allow, in m²/s²; each sample holds the
@@ -47,9 +47,9 @@ def plan_route(
     deceleration: float | FloatArray,
     rows: IntArray | None = None,
 ) -> Route:
-    """Resample a path, or some `rows` of it, and compute the highest speed that its curves allow.
+    """Resample a path at equal distances, and compute the highest speed that its curves allow.
 
-    A path that is the same in all scenarios gives one row, or one for each of `rows` if the limits differ between them.
+    The result has one row for each scenario in `rows`; without `rows`, as many rows as the path.
 
     The speed v satisfies v² |κ| ≤ a_lat for the curvature κ. It also satisfies v² ≤ v_c² + 2 b d for each sample at
     distance d ahead with highest speed v_c. Here a_lat is `lateral_acceleration` and b is `deceleration`, in m/s².
@@ -75,7 +75,7 @@ def count_route_samples(path: DrivenPath) -> int:
 
 
 def _count_straight_samples(step: float, x: FloatArray, y: FloatArray, cos: FloatArray, sin: FloatArray) -> FloatArray:
-    """Return, for each sample of a row, how many of the following samples lie on a straight line in its direction."""
+    """Return, for each sample of a route, how many of the next samples lie on a straight line in its direction."""
     position_error = np.hypot(np.diff(x) - step * cos[:-1], np.diff(y) - step * sin[:-1])
     direction_change = np.hypot(np.diff(cos), np.diff(sin))
     ends = np.append(

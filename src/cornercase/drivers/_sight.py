@@ -1,3 +1,3 @@
-"""Which entities a driver sees, for other rooms; it is compiled, so they import it where they need it."""
+"""Visibility of entities to a driver, for other packages; slow to import, so import this module only when needed."""
 
 from cornercase.drivers._kernels.visibility import find_visible_others as find_visible_others

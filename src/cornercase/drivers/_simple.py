@@ -1,4 +1,4 @@
-"""A driver that keeps its speed and its distance, and never yields."""
+"""Simple driver, which keeps its speed and its distance, and never yields."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from cornercase.drivers._presets import FollowParameters, check_parameter
 
 
 class SimpleDriver(CompiledDriver):
-    """Drive at the scenario's target speed, and brake for anything straight ahead in the driver's lane.
+    """Driver that keeps the scenario's target speed, and brakes only for what is straight ahead in its lane.
 
     The driver is inattentive and looks neither left nor right, like the traffic that a test puts in the ego's path. It
     keeps its distance by the Intelligent Driver Model (Treiber, Hennecke and Helbing 2000).

@@ -15,7 +15,7 @@ from cornercase.drivers.vehicles._kernels.steered import move_steered_vehicle
 
 @kernel(error_model="numpy", _nrt=False, forceinline=True)
 def has_steered_vehicle(fleet, driver):
-    """Whether the entity of a driver has a vehicle that steers."""
+    """Return whether the entity of a driver of a fleet has a vehicle model that steers."""
     return fleet.first_vehicle[driver] >= 0 and fleet.vehicle_kind[driver] != ACTUATORS
 
 
@@ -23,8 +23,9 @@ def has_steered_vehicle(fleet, driver):
 def move_along_path(fleet, driver, scenario, path, curvature, distance, motion, request, time_step):
     """Move a vehicle by one time step along a path, as `Mover` does; return its distance along the path.
 
-    `path` are the arguments of `project_point_nearby`. `motion` (5,) is x, y, heading, speed and acceleration, and is
-    changed; `distance` is about where it is. `request` is the acceleration in m/s² that the driver chooses.
+    `path` has the first five arguments of `project_point_nearby`. `motion` (5,) is x, y, heading, speed and
+    acceleration, and is changed in place. `distance` is the approximate position along the path in m. `request` is the
+    acceleration in m/s² that the driver chooses.
     """
     row = fleet.first_vehicle[driver] + scenario
     parameters = fleet.vehicles.parameters[row]

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class LaneView:
-    """A lane of the ego's road, where the ego is.
+    """Lane of the ego's road at the position of the ego, as a system under test sees it.
 
     Attributes
     ----------
@@ -32,15 +32,15 @@ class LaneView:
     lane_type : str
         Type of OpenDRIVE, such as ``"driving"`` or ``"shoulder"``.
     same_direction : bool
-        Whether its traffic runs in the direction in which the ego's path runs.
+        True if traffic on the lane runs in the direction of the ego's path.
     width : float
-        In m.
+        Width in m.
     offset : float
-        Distance of its centre from the ego's reference point, across the path, in m; positive to the left.
+        Lateral distance of the lane's centre from the ego's reference point in m, positive to the left.
     curvature : float
-        Of its centre line in 1/m, positive to the left in the direction of the ego's path.
+        Curvature of the centre line in 1/m, positive to the left in the direction of the ego's path.
     speed_limit : float
-        In m/s; infinite without limit, NaN if the road file has none.
+        Speed limit in m/s; infinite if the road file says that speed is not limited, NaN if it says nothing.
 
     Examples
     --------
@@ -68,7 +68,11 @@ class LaneView:
 
 @dataclass(frozen=True, eq=False)
 class _Group:
-    """Egos on the same path along lanes: distance along it and offset from it, of the egos (n,) and others (n, A)."""
+    """Egos of n scenarios on the same path along lanes, and the A other entities in each scenario.
+
+    `along`, `offset` (n,): position of the egos along the path, and to the left of the path, in m. `column` (n,): lane
+    of the egos. `others_along`, `others_offset` (n, A): positions of the other entities, in the same way.
+    """
 
     sections: CrossSections
     along: FloatArray
@@ -79,17 +83,20 @@ class _Group:
 
     @cached_property
     def edges(self) -> tuple[IntArray, FloatArray, FloatArray]:
-        """Sample of the path, and edges of all lanes there."""
+        """Path sample at each ego (n,), and left and right edges of all L lanes there in m, (n, L)."""
         return self.sections.edges_at(self.along)
 
     @cached_property
     def others_column(self) -> IntArray:
-        """Columns of the lanes of the others (n, A)."""
+        """Lane of each other entity, as a column of `sections`, (n, A)."""
         return self.sections.columns_at(self.others_along, self.others_offset)
 
 
 class Surroundings:
-    """What egos of N scenarios have around them; `own` (N, 3) and `objects` (N, A, 8) are what `look` fills in."""
+    """Lanes, speed limits and signals around the egos of N scenarios.
+
+    `own` (N, 3) and `objects` (N, A, 8) are results of the kernel `look`.
+    """
 
     def __init__(self, situation: Situation, network: RoadNetwork | None, own: FloatArray, objects: FloatArray) -> None:
         self._situation, self._network = situation, network
@@ -114,7 +121,7 @@ class Surroundings:
         others_along: FloatArray,
         others_offset: FloatArray,
     ) -> IntArray:
-        """Group scenarios whose ego is on a lane of a path's roads; return those whose ego is not."""
+        """Add a group of scenarios whose ego is on a lane along a path; return the scenarios whose ego is not."""
         sections = CrossSections.along(network, path)
         column = sections.columns_at(along, offset)
         group = _Group(sections, along, offset, column, others_along, others_offset)
@@ -124,7 +131,7 @@ class Surroundings:
         return others
 
     def _locate(self, network: RoadNetwork, rows: IntArray) -> None:
-        """Group scenarios by the lane that the ego is on, wherever its path leads."""
+        """Add groups of scenarios by the lane that the ego is on, regardless of the ego's path."""
         s = self._situation
         x, y, heading = s.x[rows], s.y[rows], s.heading[rows]
         road, at = network.track_road(np.full(len(rows), -1), np.zeros(len(rows)), x, y, heading)
@@ -153,7 +160,7 @@ class Surroundings:
             self._join(network, path, rows[same], along[:, 0], offset[:, 0], along[:, 1:], offset[:, 1:])
 
     def lanes(self, scenario: int) -> tuple[LaneView, ...]:
-        """All lanes of the road where the ego is, from left to right; none if it is on no lane."""
+        """Return all lanes of the road at the ego, from left to right; none if the ego is on no lane."""
         if scenario not in self._group_of:
             return ()
         group, i = self._group_of[scenario]
@@ -179,7 +186,7 @@ class Surroundings:
         return tuple(lanes)
 
     def lane_of(self, scenario: int, other: int) -> int | None:
-        """Number of the lane that another entity is on, counted from the ego's own; None if it is on none."""
+        """Return the number of another entity's lane, counted from the ego's lane to the left; None without a lane."""
         if scenario not in self._group_of:
             return None
         group, i = self._group_of[scenario]
@@ -187,14 +194,14 @@ class Surroundings:
         return None if column == NO_LANE else int(group.column[i]) - column
 
     def speed_limit(self, scenario: int) -> float:
-        """Speed limit of the ego's lane in m/s; NaN if unknown."""
+        """Return the speed limit of the ego's lane in m/s; NaN if unknown."""
         if scenario not in self._group_of:
             return math.nan
         group, i = self._group_of[scenario]
         return float(group.sections.speed_limit[group.edges[0][i], group.column[i]])
 
     def signals(self, scenario: int) -> list[tuple[str, str, float]]:
-        """Name, type, and distance along the path in m from the ego's reference point, of signals along the path."""
+        """Return name, type and distance ahead in m of each signal along the path, from the ego's reference point."""
         if scenario not in self._group_of:
             return []
         group, i = self._group_of[scenario]

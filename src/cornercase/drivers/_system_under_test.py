@@ -1,4 +1,4 @@
-"""Systems under test of users: one object per scenario, one plain call per step."""
+"""Systems under test written by users: one object per scenario, one plain call per time step."""
 
 from __future__ import annotations
 
@@ -30,20 +30,21 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Ego:
-    """The vehicle that a system under test is given when a scenario starts.
+    """Vehicle that a system under test drives, as given when a scenario starts.
 
     Attributes
     ----------
     name, object_type : str
-        Name of the entity, and vehicle category as in a recording.
+        Name of the entity, and its category: a vehicle category such as ``"car"``, ``"pedestrian"`` or ``"misc"``.
     length, width, center_x, wheelbase : float
-        Bounding box as in a recording, and distance of the axles, in m.
+        Length and width of the bounding box, position of its centre ahead of the reference point, and distance between
+        the axles, in m.
     max_steering : float
         Largest angle of the front wheels in rad.
     max_speed, max_acceleration, max_deceleration : float
         Limits in m/s and m/s²; infinite if the scenario file has none.
     values : mapping of str to object
-        The scenario's parameter values that differ from the file.
+        Values of the scenario file's parameters that differ from the values in the file.
 
     Examples
     --------
@@ -72,26 +73,27 @@ class Ego:
 
 
 class SystemUnderTest(Configurable, ABC):
-    """A driving function of your own: sees one scenario, decides one step.
+    """Base class of your own driving function, which sees one scenario and decides one time step at a time.
 
-    Derive from it, and implement `step`; if it has state, also `start`. An object is made for each concrete scenario
-    from the options of the constructor. An exception ends only the scenario in which it is raised.
+    Derive a class and implement `step`; if the function has state, also `start`. Each concrete scenario gets its own
+    object, made from the options of the constructor. An exception ends only the scenario in which it is raised.
 
-    A decision may only depend on what the function is given: no clock, no random numbers but those of `rng`.
+    A decision may depend only on what the function is given: no clock, no random numbers except those of `rng`.
 
     Attributes
     ----------
     settings : dict
         Everything that decisions depend on, as plain JSON values; by default the class. Options of the constructor that
-        are numbers, texts or booleans are stored with a study in any case; it refuses any other option, such as a
-        list or a dict, unless `settings` has an entry of its name, as in ``self.settings = {"config": {"gain": 2.0}}``.
+        are numbers, texts or booleans are stored with a study in any case. A study refuses any other option, such as a
+        list or a dict, unless `settings` has an entry under the option's name, as in
+        ``self.settings = {"config": {"gain": 2.0}}``.
     mutations : tuple of Mutation, default empty
-        What can be wrong in it, for `cornercase reduce --kill-mutants` and `cornercase test --mutants`.
+        Changes that make the function worse, for `cornercase reduce --kill-mutants` and `cornercase test --mutants`.
 
     See Also
     --------
     Driver : The same for all scenarios at once, as arrays.
-    Control : What a step may return.
+    Control : Decision that a step may return.
 
     Examples
     --------
@@ -122,12 +124,12 @@ class SystemUnderTest(Configurable, ABC):
         return describe_as_text(self)
 
     def describe(self) -> Sequence[str]:
-        """Return lines about the function that `cornercase check` prints; none by default.
+        """Return text lines about the function, which `cornercase check` prints; none by default.
 
         Returns
         -------
         sequence of str
-            Such as a version, or what was loaded.
+            Lines such as the version, or which files were loaded.
         """
         return ()
 
@@ -141,17 +143,17 @@ class SystemUnderTest(Configurable, ABC):
         road : RoadNetwork or None
             The roads.
         rng : numpy.random.Generator
-            Source of all random numbers: the same scenario in the same study has the same ones.
+            Source of all random numbers: the same scenario in the same study has the same numbers.
         """
 
     @abstractmethod
     def step(self, view: View, dt: float) -> Control | float:
-        """Decide the coming time step.
+        """Decide what the ego does in the coming time step.
 
         Parameters
         ----------
         view : View
-            What the ego is given: its own state, and the traffic around it.
+            State of the ego, and the traffic around it.
         dt : float
             Duration of the step in s.
 
@@ -185,7 +187,7 @@ def _check_calls(made: SystemUnderTest) -> None:
 
 
 class ScalarFunction(DrivingFunction):
-    """Drives each scenario of a batch by an object of its own, made from a prototype."""
+    """Driver that has its own `SystemUnderTest` object of a user in each scenario, made from a prototype."""
 
     def __init__(self, prototype: SystemUnderTest) -> None:
         _check_calls(prototype)
@@ -197,19 +199,19 @@ class ScalarFunction(DrivingFunction):
         return str(self.prototype)
 
     def with_options(self, **changes: Any) -> Self:
-        """Return a function whose prototype has other options."""
+        """Return a new driver whose prototype has some options changed."""
         return type(self)(with_numbers(self.prototype, changes))
 
     def describe(self) -> Sequence[str]:
-        """Return the lines of the user's own `describe`."""
+        """Return the lines of the prototype's `describe`."""
         return self.prototype.describe()
 
     def numeric_parameters(self) -> dict[str, float]:
-        """Return the options of the prototype that are numbers."""
+        """Return the numeric options of the prototype."""
         return numeric_options(self.prototype)
 
     def prepare(self, start: Start) -> None:
-        """Make one object per scenario."""
+        """Create and start one object of the user's class per scenario."""
         body, cls = start.body, type(self.prototype)
         self._name = f"the driver of {quote_name(body.name)} ({cls.__module__}:{cls.__qualname__})"
         self._objects, self._failures, self._network = [], dict[int, SimulationError](), start.network
@@ -225,7 +227,7 @@ class ScalarFunction(DrivingFunction):
             self._objects.append(made)
 
     def _make(self, numbers: Mapping[str, float]) -> SystemUnderTest:
-        """Return a new object with some numbers as options."""
+        """Return a new object like the prototype, with some numeric options changed."""
         if not numbers:
             # A copy has also what a dataclass changes after its construction.
             with suppress(Exception):
@@ -236,7 +238,7 @@ class ScalarFunction(DrivingFunction):
         return made
 
     def decide(self, situation: Situation) -> Controls:
-        """Let each active object decide."""
+        """Return the decisions of the objects in the active scenarios."""
         shared = SharedView(situation, self._network)
         controls: list[Control | float | None] = [None] * len(situation.active)
         failures = dict[int, SimulationError]()

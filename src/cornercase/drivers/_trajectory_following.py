@@ -1,4 +1,4 @@
-"""Follow a trajectory of a driver: ideally, or with a vehicle that is steered along it."""
+"""Motion of an ego along a trajectory that its driver gives: exact, or with a steered vehicle."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ _CLOCK: Final = 1e-6
 
 
 class FollowedTrajectory:
-    """A trajectory that the ego follows from a pose and time on; `given` is what the driver gave.
+    """Trajectory that an ego follows from a position and time on; `given` is the trajectory of the driver.
 
-    Before the first of its times, the ego goes straight to its first point. What goes back turns around, or drives
-    backwards if it `may_reverse`.
+    Before the first time of the trajectory, the ego goes straight to the first point. If the next position is behind,
+    the ego drives backwards if it `may_reverse`, and turns around otherwise.
     """
 
     def __init__(self, given: Trajectory, time: float, x: float, y: float, *, may_reverse: bool) -> None:
@@ -43,7 +43,7 @@ class FollowedTrajectory:
     def move(
         self, time: float, x: float, y: float, heading: float, speed: float, dt: float
     ) -> tuple[float, float, float, float]:
-        """Return pose and speed at the end of a time step, with ideal following."""
+        """Return x, y, heading and speed at the end of a time step `dt` in s if the ego follows exactly."""
         if self._is_over(time + dt):
             speed = math.copysign(max(abs(speed) - FINAL_DECELERATION * dt, 0.0), speed) or 0.0
             return x + speed * dt * math.cos(heading), y + speed * dt * math.sin(heading), heading, speed
@@ -95,13 +95,13 @@ class FollowedTrajectory:
 
     @cached_property
     def _travelled(self) -> FloatArray:
-        """Distance along its line at each point."""
+        """Distance in m along the line through the points, at each point."""
         steps = np.hypot(np.diff(self._x), np.diff(self._y))
         return np.concatenate([[0.0], np.cumsum(np.where(steps > _STANDSTILL, steps, 0.0))])
 
     @cached_property
     def _path(self) -> DrivenPath | None:
-        """The line through its points; None if it has none."""
+        """Path through the points; None if all points are at the same position."""
         keep = np.concatenate([[True], np.diff(self._travelled) > 0.0])
         distance, x, y = self._travelled[keep], self._x[keep], self._y[keep]
         if len(distance) < 2:

@@ -1,4 +1,4 @@
-"""Drivers of cornercase whose options can differ between the scenarios of a batch."""
+"""Drivers of cornercase whose options can differ between scenarios that are simulated together."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from cornercase.drivers._base import Driver
 
 
 class VariedDriver(Driver):
-    """A driver of cornercase that can have other options in each scenario of a batch."""
+    """Base class of drivers of cornercase that can have other options in each scenario."""
 
     @abstractmethod
     def vary(self, options: Sequence[Mapping[str, float]]) -> None:
-        """Give the started driver its options in each of the N scenarios.
+        """Change options of the started driver in each of N scenarios.
 
         Parameters
         ----------
         options : sequence of mapping of str to float, length N
-            By name.
+            Changed options of each scenario by name.
         """

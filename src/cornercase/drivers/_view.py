@@ -1,4 +1,4 @@
-"""What a system under test sees of one scenario; computed for a whole batch when it is first asked for."""
+"""View of a system under test on its scenario; computed for all scenarios at once, on first use."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ class EgoState(NamedTuple):
     x, y, heading : float
         Pose in m and rad, in the axes of the map.
     speed, acceleration : float
-        In m/s and m/s².
+        Speed in m/s and acceleration in m/s².
     distance : float
-        Distance along its path in m.
+        Distance along the ego's path in m.
     offset : float
-        Distance from its path in m, positive to the left.
+        Distance from the path in m, positive to the left.
     turn : float
-        Heading relative to its path in rad, positive to the left.
+        Heading relative to the path in rad, positive to the left.
 
     Examples
     --------
@@ -66,27 +66,27 @@ class ObjectView:
     Attributes
     ----------
     name, object_type : str
-        Name, and vehicle category, ``"pedestrian"`` or ``"misc"``.
+        Name, and category: a vehicle category such as ``"car"``, ``"pedestrian"`` or ``"misc"``.
     x, y : float
-        Centre of its box in m ahead, and to the left, of the ego's reference point.
+        Centre of the object's box in m ahead, and to the left, of the ego's reference point.
     heading : float
-        Heading relative to the ego's in rad.
+        Heading relative to the ego's heading in rad.
     speed : float
-        In m/s.
+        Speed in m/s.
     length, width : float
-        Box in m.
+        Size of the object's box in m.
     gap : float
-        Distance of the boxes along the ego's path in m: positive ahead, negative behind, 0 if they are next to each
-        other. NaN if it is nowhere along the path.
+        Distance between the boxes along the ego's path in m: positive for an object ahead, negative for one behind, 0
+        if the boxes are next to each other. NaN if the object is nowhere along the path.
     closing : float
         Speed in m/s at which the gap shrinks; negative if it grows.
     lateral : float
-        Distance of its centre from the ego's path in m, positive to the left; NaN with the gap.
+        Distance of the object's centre from the ego's path in m, positive to the left; NaN if the gap is NaN.
     in_path : bool
-        Whether its box reaches into the strip that the ego's box sweeps along its path.
+        True if the object's box reaches into the strip that the ego's box sweeps along the path.
     lane : int or None
-        Lane that its centre is on, counted from the ego's own: 1 for the next to the left. None if it is on no lane of
-        the ego's road.
+        Number of the lane that the object's centre is on: 0 for the ego's own lane, 1 for the next to the left. None if
+        the object is on no lane of the ego's road.
 
     Examples
     --------
@@ -119,7 +119,7 @@ class ObjectView:
 
     @property
     def lane(self) -> int | None:
-        """Lane that its centre is on, counted from the ego's own."""
+        """Number of the lane that the object's centre is on, counted from the ego's own lane to the left."""
         return self._shared.surroundings.lane_of(self._scenario, self._other)
 
 
@@ -131,12 +131,12 @@ class SignalView(NamedTuple):
     name : str
         Id of the signal in the road file.
     state : str
-        As the scenario file writes it; empty if the scenario has not set it.
+        State as the scenario file writes it; empty if the scenario has not set a state.
     signal_type : str
-        Type in the road file; empty if it has none.
+        Type in the road file; empty if there is none.
     gap : float
-        Distance along the ego's path in m from the front of its box to the signal; negative once it is passed, NaN if
-        it does not stand along the path.
+        Distance along the ego's path in m from the front of the ego's box to the signal; negative once the ego has
+        passed the signal, NaN if the signal does not stand along the path.
 
     Examples
     --------
@@ -163,7 +163,7 @@ class PathPoint(NamedTuple):
     heading : float
         Direction relative to the ego's heading in rad.
     curvature : float
-        In 1/m, positive to the left.
+        Curvature in 1/m, positive to the left.
 
     Examples
     --------
@@ -185,14 +185,14 @@ class PathPoint(NamedTuple):
 
 
 class SharedView:
-    """What the driven entity sees in the N scenarios of a batch; each quantity is computed on first use."""
+    """View of an ego on the traffic in N scenarios at once; each quantity is computed on first use."""
 
     def __init__(self, situation: Situation, network: RoadNetwork | None = None) -> None:
         self.situation, self._network = situation, network
 
     @cached_property
     def _seen(self) -> tuple[FloatArray, FloatArray, IntArray]:
-        """Own pose on the path (N, 3), what is seen of A others (N, A, 8), and the leaders (N,), as `look` has them."""
+        """Results of the kernel `look`: pose on the path (N, 3), view of A others (N, A, 8), leader (N,)."""
         # Its kernels take long to import.
         from cornercase.drivers._kernels.look import N_COLUMNS, look
 
@@ -208,17 +208,17 @@ class SharedView:
 
     @property
     def own_pose_on_path(self) -> FloatArray:
-        """Distance along the path, offset from it, and direction of the path, (3, N)."""
+        """Distance along the path and offset to its left in m, and direction of the path in rad, (3, N)."""
         return self._seen[0].T
 
     @property
     def relative(self) -> FloatArray:
-        """Centre of the boxes ahead and to the left, and heading, as seen from the ego, (3, N, A)."""
+        """A others relative to the ego: centre of the box ahead and to the left in m, and heading in rad, (3, N, A)."""
         return self._seen[1][..., :3].transpose(2, 0, 1)
 
     @property
     def along_path(self) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
-        """Gap, closing speed, lateral distance, and whether in the path, (N, A) each."""
+        """A others along the ego's path: gap, closing speed, lateral distance, and True if in the path, (N, A) each."""
         from cornercase.drivers._kernels.look import CLOSING, GAP, IN_PATH, LATERAL
 
         objects = self._seen[1]
@@ -231,11 +231,11 @@ class SharedView:
 
     @property
     def turn(self) -> FloatArray:
-        """Heading of the ego relative to its path, (N,)."""
+        """Heading of the ego relative to its path in rad, (N,)."""
         return np.asarray(wrap_angle(self.situation.heading - self.own_pose_on_path[2]))
 
     def path_points(self, ahead: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Points of the path at K distances ahead, as seen from the ego: x, y, heading, curvature, (N, K) each."""
+        """Return path points K distances in m ahead, relative to the ego: x, y, heading, curvature, (N, K) each."""
         s = self.situation
         at = self.own_pose_on_path[0][:, None] + _limit_ahead(s.path, ahead)
         columns = (s.path.x, s.path.y, s.path.heading, s.path.curvature)
@@ -252,24 +252,24 @@ class SharedView:
 
     @cached_property
     def own_poses(self) -> list[list[float]]:
-        """Distance along the path, offset from it, and direction of the path, by scenario."""
+        """Values of `own_pose_on_path` as one list per scenario."""
         poses: list[list[float]] = self.own_pose_on_path.T.tolist()
         return poses
 
     @property
     def leader(self) -> IntArray:
-        """Index of the leader, (N,); -1 for none."""
+        """Index of the nearest entity ahead in the ego's path, (N,); -1 for none."""
         return self._seen[2]
 
     @cached_property
     def leaders(self) -> list[int]:
-        """Index of the leader by scenario; -1 for none."""
+        """Values of `leader` as a list over the scenarios."""
         leaders: list[int] = self.leader.tolist()
         return leaders
 
     @cached_property
     def ego_states(self) -> list[list[float]]:
-        """x, y, heading, speed and acceleration of the ego by scenario."""
+        """List of x, y, heading, speed and acceleration of the ego, for each scenario."""
         s = self.situation
         states: list[list[float]] = np.stack((s.x, s.y, s.heading, s.speed, s.acceleration), axis=1).tolist()
         return states
@@ -281,7 +281,7 @@ class SharedView:
         return boxes
 
     def object(self, scenario: int, other: int) -> ObjectView:
-        """Return one of the others as seen from the ego."""
+        """Return another entity as seen from the ego of a scenario, both by index."""
         s = self.situation
         x, y, turn, gap, closing, lateral, in_path, _ = self._seen[1][scenario, other].tolist()
         speed = float(s.others_speed[scenario, other])
@@ -292,52 +292,54 @@ class SharedView:
         )  # fmt: skip
 
     def objects_by_distance(self, scenario: int) -> list[int]:
-        """Indices of the others that exist, the nearest first."""
+        """Return the indices of the other entities that exist in a scenario, the nearest first."""
         x, y = self._seen[1][scenario, :, :2].T.tolist()
         squared = [dx * dx + dy * dy for dx, dy in zip(x, y, strict=True)]
         return sorted((a for a, value in enumerate(squared) if value == value), key=squared.__getitem__)
 
     @cached_property
     def surroundings(self) -> Surroundings:
-        """Lanes, limits and signals."""
+        """Lanes, speed limits and signals around the egos."""
         from cornercase.drivers._surroundings import Surroundings
 
         return Surroundings(self.situation, self._network, *self._seen[:2])
 
 
 class View:
-    """What a system under test sees in one time step.
+    """View of a system under test on its traffic situation in one time step.
 
-    Everything is computed when it is first asked for. Numbers that sensors stand in front of, those of objects, are as
-    sensed; the road, the ego itself and the signals are as they are.
+    Everything is computed on first use. If the driver has sensors, objects are as the sensors measure them; the road,
+    the ego itself and the signals are always the true ones.
 
     Parameters
     ----------
     shared : SharedView
-        What is seen in all scenarios of the batch.
+        View of all scenarios that are simulated together.
     scenario : int
-        Number of the scenario in it.
+        Index of the scenario.
 
     Attributes
     ----------
     time : float
         Time since the start of the scenario in s.
     target_speed : float
-        Speed in m/s that the scenario asks for; infinite or NaN if it asks for none.
+        Speed in m/s that the scenario asks for; infinite or NaN if the scenario asks for none.
     ego : EgoState
         The ego itself.
     objects : tuple of ObjectView
         All other entities that are sensed, the nearest first.
     leader : ObjectView or None
-        The nearest of those ahead in the ego's path.
+        The nearest object ahead in the ego's path.
     lanes : tuple of LaneView
-        The lanes of the ego's road where it is, from left to right; none if it is on no lane.
+        The lanes of the ego's road at its position, from left to right; none if the ego is on no lane.
     lane : LaneView or None
         The ego's own lane.
     speed_limit : float
-        Limit in m/s of the ego's own lane, else of its road; infinite without limit, NaN if the road file has none.
+        Speed limit in m/s of the ego's own lane, or of the road if the lane has none; infinite if the road file says
+        that speed is not limited, NaN if it says nothing.
     signals : mapping of str to SignalView
-        By name: the signals that the scenario sets, and those of the road along the ego's path, the next ahead first.
+        Signals that the scenario sets, and signals of the road along the ego's path, by name; the next ahead comes
+        first.
 
     Examples
     --------
@@ -386,28 +388,28 @@ class View:
 
     @property
     def leader(self) -> ObjectView | None:
-        """The nearest of those ahead in the ego's path; None if there is none."""
+        """The nearest object ahead in the ego's path; None if there is none."""
         other = self._shared.leaders[self._n]
         return None if other < 0 else self._shared.object(self._n, other)
 
     @property
     def lanes(self) -> tuple[LaneView, ...]:
-        """The lanes of the ego's road where it is, from left to right."""
+        """The lanes of the ego's road at its position, from left to right."""
         return self._shared.surroundings.lanes(self._n)
 
     @property
     def lane(self) -> LaneView | None:
-        """The ego's own lane; None if it is on none."""
+        """The ego's own lane; None if the ego is on no lane."""
         return next((lane for lane in self.lanes if lane.number == 0), None)
 
     @property
     def speed_limit(self) -> float:
-        """Limit of the ego's own lane in m/s."""
+        """Speed limit of the ego's own lane in m/s."""
         return self._shared.surroundings.speed_limit(self._n)
 
     @property
     def signals(self) -> Mapping[str, SignalView]:
-        """The signals that the scenario sets, and those along the ego's path, by name."""
+        """Signals that the scenario sets, and signals along the ego's path, by name."""
         s = self._shared.situation
         front = s.center_x + 0.5 * s.length
         states = {name: str(values[self._n]) for name, values in s.signals.items()}
@@ -428,8 +430,8 @@ class View:
         Parameters
         ----------
         ahead : float
-            Distance along the path in m; beyond an end of the path, it is the end. On a trajectory of the scenario it
-            is at most 400 m.
+            Distance along the path in m; beyond an end of the path, the end is returned. On a trajectory of the
+            scenario, larger distances count as 400 m.
 
         Returns
         -------
@@ -447,10 +449,10 @@ class View:
 
 
 def _limit_ahead(path: DrivenPath, ahead: FloatArray | float) -> FloatArray | float:
-    """Return distances ahead on a path: on a trajectory, only those up to which it is sampled in any batch."""
+    """Return distances ahead on a path in m; on a trajectory of the scenario, at most 400 m."""
     return ahead if path.distance.ndim == 1 else np.minimum(ahead, FARTHEST_ON_TRAJECTORY)
 
 
 def _order_of_signal(signal: SignalView) -> tuple[bool, bool, float]:
-    """Those ahead first, then those that are passed, then those that do not stand along the path."""
+    """Return a sort key: signals ahead come first, then passed signals, then signals that are not along the path."""
     return math.isnan(signal.gap), signal.gap < 0.0, abs(signal.gap)
