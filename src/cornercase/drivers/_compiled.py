@@ -9,7 +9,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from cornercase._common.numba.pointers import memory_address
-from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.drivers._base import DrivenPath, Driver, Situation
 from cornercase.drivers._kernels.decide import DECISION_INPUTS, DRIVER_KERNELS, compute_accelerations
 from cornercase.drivers._kernels.structs import (
@@ -194,47 +194,42 @@ def build_fleet(
     return fleet
 
 
-def set_route(fleet: Fleet, driver: int, track: int, path: DrivenPath, changed: BoolArray | None = None) -> Fleet:
+def set_route(fleet: Fleet, driver: int, track: int, path: DrivenPath) -> Fleet:
     """Plan a driver's route along a path, and return the fleet with this route; its arrays may be new.
 
     `track` is the number of the path; an earlier route along this track is replaced. If the path or the driver's limits
-    differ between scenarios, each scenario has a route of its own. `changed` (N,) is True for the scenarios whose route
-    is planned again, by default for all.
+    differ between scenarios, each scenario has a route of its own.
     """
     limits = fleet.parameters[driver][:, _ROUTE_LIMITS]
     is_same_for_all = path.distance.ndim == 1 and bool((limits == limits[:1]).all())
     samples, rows = count_route_samples(path), 1 if is_same_for_all else len(limits)
-    routes, chosen = fleet.routes, np.arange(rows)
+    routes = fleet.routes
     first = routes.row[driver, track] if track < routes.row.shape[1] else -1
-    if first >= 0 and (routes.rows[driver, track], routes.samples[first]) == (rows, samples):
-        if changed is not None and rows > 1:
-            chosen = np.flatnonzero(changed)
-    else:
+    if first < 0 or (routes.rows[driver, track], routes.samples[first]) != (rows, samples):
         if first >= 0:
             routes = _remove_route(routes, driver, track)
         first = len(routes.begin)
         routes = _append_empty_route(routes, driver, track, rows, samples)
-    if len(chosen):
-        points = routes.begin[first + chosen][:, None] + np.arange(samples)
-        routes.points[points], routes.measures[first + chosen] = _plan_route_points(path, limits, chosen)
+    points = routes.begin[first : first + rows][:, None] + np.arange(samples)
+    routes.points[points], routes.measures[first : first + rows] = _plan_route_points(path, limits, rows)
     return fleet._replace(routes=routes)
 
 
-def _plan_route_points(path: DrivenPath, limits: FloatArray, rows: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Return `Routes.points` and `Routes.measures` of the scenarios in `rows`; a single route along a lane is cached.
+def _plan_route_points(path: DrivenPath, limits: FloatArray, rows: int) -> tuple[FloatArray, FloatArray]:
+    """Return `Routes.points` and `Routes.measures` of `rows` scenarios; a single route along a lane is cached.
 
     `limits` (N, 2): lateral acceleration and deceleration of the driver in m/s².
     """
-    if path.distance.ndim > 1 or len(rows) > 1:
-        return _measure_route(path, limits[rows], rows)
+    if path.distance.ndim > 1 or rows > 1:
+        return _measure_route(path, limits[:rows])
     key, cache = tuple(limits[0].tolist()), _ROUTE_CACHE.setdefault(path, {})
     if key not in cache:
-        cache[key] = _measure_route(path, limits[:1], rows)
+        cache[key] = _measure_route(path, limits[:1])
     return cache[key]
 
 
-def _measure_route(path: DrivenPath, limits: FloatArray, rows: IntArray) -> tuple[FloatArray, FloatArray]:
-    plan = plan_route(path, lateral_acceleration=limits[:, 0], deceleration=limits[:, 1], rows=rows)
+def _measure_route(path: DrivenPath, limits: FloatArray) -> tuple[FloatArray, FloatArray]:
+    plan = plan_route(path, lateral_acceleration=limits[:, 0], deceleration=limits[:, 1])
     columns = plan.x, plan.y, plan.cos, plan.sin, plan.max_speed_squared, plan.straight_count
     return np.stack(columns, axis=-1), np.stack((plan.step, plan.max_spacing, plan.max_turn), axis=-1)
 

@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from cornercase._common.typing import FloatArray, IntArray
+from cornercase._common.typing import FloatArray
 from cornercase.drivers._base import DrivenPath
 
 ROUTE_STEP: Final = 0.5
@@ -45,19 +45,18 @@ def plan_route(
     *,
     lateral_acceleration: float | FloatArray,
     deceleration: float | FloatArray,
-    rows: IntArray | None = None,
 ) -> Route:
     """Resample a path at equal distances, and compute the highest speed that its curves allow.
 
-    The result has one row for each scenario in `rows`; without `rows`, as many rows as the path.
+    The result has one row for each scenario, or a single row if neither the path nor a limit differs between scenarios.
 
     The speed v satisfies v² |κ| ≤ a_lat for the curvature κ. It also satisfies v² ≤ v_c² + 2 b d for each sample at
     distance d ahead with highest speed v_c. Here a_lat is `lateral_acceleration` and b is `deceleration`, in m/s².
     """
     arrays = [np.atleast_2d(array) for array in (path.distance, path.x, path.y, path.heading, path.curvature)]
-    if rows is not None:
-        arrays = [array[rows if path.distance.ndim > 1 else np.zeros_like(rows)] for array in arrays]
-    limits = [np.broadcast_to(limit, len(arrays[0])).tolist() for limit in (lateral_acceleration, deceleration)]
+    n_rows = max(len(arrays[0]), np.size(lateral_acceleration), np.size(deceleration))
+    arrays = [np.broadcast_to(array, (n_rows, array.shape[1])) for array in arrays]
+    limits = [np.broadcast_to(limit, n_rows).tolist() for limit in (lateral_acceleration, deceleration)]
     planned = [
         _plan_path_row(row, lateral, braking, count_route_samples(path))
         for *row, lateral, braking in zip(*arrays, *limits, strict=True)

@@ -23,10 +23,12 @@ def read_tow(vehicle: int, trailer: int, entities: Sequence[Entity]) -> Tow:
     (front, front_scope), (rear, rear_scope) = bodies[0], bodies[1]
     hitch, coupler = front.find("TrailerHitch"), rear.find("TrailerCoupler")
     if hitch is None or coupler is None:
+        scope, entity, part = (
+            (front_scope, vehicle, "TrailerHitch") if hitch is None else (rear_scope, trailer, "TrailerCoupler")
+        )
         raise InputError(
-            f"{(front_scope if hitch is None else rear_scope).file_name}: '{entities[vehicle].name}' cannot pull '{entities[trailer].name}', as"
-            f" '{entities[vehicle if hitch is None else trailer].name}' has no"
-            f" {'<TrailerHitch>' if hitch is None else '<TrailerCoupler>'}."
+            f"{scope.file_name}: '{entities[vehicle].name}' cannot pull '{entities[trailer].name}', as"
+            f" '{entities[entity].name}' has no <{part}>."
         )
     return Tow(vehicle, trailer, front_scope.read_number(hitch, "dx"), rear_scope.read_number(coupler, "dx"))
 
