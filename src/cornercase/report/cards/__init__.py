@@ -1,1 +1,1 @@
-"""Test cards: a page of A4 for each kept scenario, for the people who drive it on a proving ground."""
+"""Test cards: one printed A4 page for each kept scenario, for people who drive the scenario on a proving ground."""

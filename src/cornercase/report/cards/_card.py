@@ -1,4 +1,4 @@
-"""The texts and drawings of one test card."""
+"""Texts and drawings of one test card, a printed page from which a scenario is driven on a proving ground."""
 
 from __future__ import annotations
 
@@ -47,7 +47,10 @@ _NO_CELL: Final = "–"
 
 @dataclass(frozen=True)
 class CardSource:
-    """What a card is made of; `run` is the run that its places and drawings show."""
+    """Scenario of a test card, with its run in the study and its rounded run.
+
+    `role` and `why` say why the reduced set keeps the scenario; both are empty if it does not.
+    """
 
     scenario_id: int
     original: CardRun
@@ -57,14 +60,14 @@ class CardSource:
 
     @property
     def run(self) -> CardRun:
-        """The rounded run if there is one, since that is what is driven; else the run of the study."""
+        """The run whose positions and drawings the card shows: the rounded run, or the study's run if there is none."""
         return self.rounded.run or self.original
 
 
 def fill_card(
     study: StudyFile, source: CardSource, scenario: ScenarioFile | None, quantities: Sequence[SettableQuantity]
 ) -> dict[str, Any]:
-    """Return what the template needs for a card."""
+    """Return the values for the page template of one test card, with as many rows as fit on the page."""
     run, meta = source.run, study.meta
     recording, meeting = run.recording, run.meeting
     road, no_road = find_road_outline(study, add_road_margin(find_bounds(recording)), scenario, dict(run.values))
@@ -124,14 +127,14 @@ def fill_card(
 
 
 def describe_function(study: StudyFile) -> str:
-    """Return who is under test, and who drives."""
+    """Format the ego and its driver, ``"Ego, driven by NAME"``, or only the ego if the driver is unknown."""
     driver = study.meta.ego_driver
     text = f"{study.meta.ego}, driven by {format_driver(driver)}" if driver else study.meta.ego
     return clean(text, 80)
 
 
 def _rank_entities(study: StudyFile, source: CardSource) -> dict[str, int]:
-    """Rank entities by how much they matter: the ego, what it meets, what else it touches, and the others."""
+    """Return ranks of entities by importance, 0 for the ego, then entities that it meets or touches, and the others."""
     touched = [
         name
         for run in (source.run, source.original)
@@ -143,7 +146,7 @@ def _rank_entities(study: StudyFile, source: CardSource) -> dict[str, int]:
 
 
 def _verdict(source: CardSource) -> dict[str, str]:
-    """Return what is known of the rounded scenario, and how it is to be shown."""
+    """Return a text on whether the rounded scenario ends as in the study, and its kind, which sets the style."""
     rounded = source.rounded
     if rounded.run is None:
         text = f"The rounded scenario was not run again: {_clean_reason(rounded.reason, 200)}."
@@ -167,12 +170,12 @@ def _verdict(source: CardSource) -> dict[str, str]:
 
 
 def _clean_reason(text: str, length: int) -> str:
-    """Return an error message as part of a sentence; folders are removed, since they are private."""
+    """Shorten an error message to a part of a sentence; folders in paths are removed, since they are private."""
     return clean(remove_folders(text), length).rstrip(".")
 
 
 def _describe_tried(rounded: RoundedRun) -> str:
-    """Say how many roundings were tried in vain."""
+    """Describe, as part of a sentence, that none of the tried roundings keeps the outcome."""
     if rounded.n_possible == 1:
         return "there is no other rounding (1 tried)"
     n_tried, are_all = rounded.n_tried, rounded.n_tried == rounded.n_possible
@@ -221,7 +224,7 @@ def _parameter_rows(
 
 
 def _fixed_parameters(parameters: Sequence[Parameter], run: CardRun) -> str:
-    """Return the parameters that have one value only, in a line."""
+    """Format the parameters whose range is a single value, in one line."""
     texts = [
         f"{clean(parameter.name)} {clean(_format_plain(parameter.extract_value(run.values)), 24)}"
         for parameter in parameters
@@ -231,7 +234,7 @@ def _fixed_parameters(parameters: Sequence[Parameter], run: CardRun) -> str:
 
 
 def _format_plain(value: Value) -> str:
-    """Format a value; of paths of files only the names, as folders of the author are private."""
+    """Format a parameter value without its unit; file paths are cut to file names, since folders are private."""
     if not isinstance(value, str):
         return format_value(value)
     return ", ".join(piece.strip().replace("\\", "/").rpartition("/")[2] for piece in value.split(","))
@@ -260,7 +263,7 @@ def _format_change(before: Value, after: Value, quantity: SettableQuantity) -> s
 
 
 def _party_rows(poses: Sequence[StartPose], study: StudyFile, source: CardSource) -> list[dict[str, str]]:
-    """Return where each party starts."""
+    """Return the table cells for each entity: start pose and speed, size, and tolerances."""
     meta, meeting = study.meta, source.run.meeting
     rows = []
     for pose in poses:
@@ -296,13 +299,13 @@ def _format_road_position(pose: StartPose) -> str:
 
 
 def _format_fixed(value: float, digits: int) -> str:
-    """Format a number with a minus sign, and without one for 0."""
+    """Format a number with the minus sign ``−`` if negative, and without a sign if rounded to 0."""
     text = f"{value:.{digits}f}"
     return (text.lstrip("-") if float(text) == 0.0 else text).replace("-", "−")
 
 
 def _list_movements(scenario: ScenarioFile | None, values: Mapping[str, Value]) -> tuple[list[Movement], str]:
-    """Return the events that move somebody, and a note if there are none."""
+    """Return the events that move entities, and a note if there are none or they are unknown."""
     if scenario is None:
         return [], "Not known: the scenario file was not found, or there is none."
     try:
@@ -320,7 +323,7 @@ def _list_triggers(movements: Sequence[Movement]) -> list[Trigger]:
 
 
 def _result_rows(study: StudyFile, source: CardSource) -> list[tuple[str, str, str]]:
-    """Return rows of what happened: name, in the study, rounded."""
+    """Return table rows of results: name, value in the study, value in the rounded run."""
     runs = source.original, source.rounded.run
     contacts = list_contacts([None if run is None else run.meeting for run in runs])
     columns = [
@@ -351,7 +354,7 @@ def _results(study: StudyFile, run: CardRun) -> dict[str, str]:
 
 
 def _required(study: StudyFile) -> list[str]:
-    """Return what a run has to show: the requirements of a suite, or else no contact and not critical."""
+    """Return the conditions for a run to pass: the requirements of a suite, or else no contact and not critical."""
     meta = study.meta
     if meta.requirements:
         texts = [clean(f"Requirement: {text}", _MAX_REQUIREMENT) for text in meta.requirements[:_MAX_REQUIREMENTS]]

@@ -1,4 +1,4 @@
-"""Conditions of a storyboard in words, for one concrete scenario."""
+"""Descriptions in words of the conditions of an OpenSCENARIO storyboard, for one concrete scenario."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _STATES: Final = {
 
 
 def describe_trigger(trigger: etree._Element | None, scope: Scope) -> str:
-    """Describe a start trigger: its groups joined by "or", their conditions by "and"; empty without conditions."""
+    """Describe a start trigger: "and" joins the conditions of a group, "or" joins groups; empty without conditions."""
     if trigger is None:
         return ""
     groups = [
@@ -37,7 +37,7 @@ def describe_trigger(trigger: etree._Element | None, scope: Scope) -> str:
 
 
 def format_speed(speed: float) -> str:
-    """Format a speed in m/s: ``"36.0 km/h (10.00 m/s)"``."""
+    """Format a speed, given in m/s, as ``"36.0 km/h (10.00 m/s)"``."""
     return f"{speed * KMH_PER_MS:.1f} km/h ({speed:.2f} m/s)"
 
 
@@ -80,7 +80,7 @@ def _with_unit(unit: str, digits: int) -> Callable[[float], str]:
 
 
 def _compare(what: str, form: Callable[[float], str]) -> _Describe:
-    """Return a description such as "the headway of A to B is below 1.50 s"."""
+    """Return a function that describes a comparison, such as "the headway of A to B is below 1.50 s"."""
 
     def describe(leaf: etree._Element, scope: Scope, who: str) -> str:
         other = quote_name(scope.read_text(leaf, "entityRef", ""))
@@ -114,7 +114,7 @@ def _describe_arrival(leaf: etree._Element, scope: Scope, who: str) -> str:
 
 
 def describe_position(position: etree._Element, scope: Scope) -> str:
-    """Describe a position of the standard in words."""
+    """Describe an OpenSCENARIO position, such as ``"road 1, lane −1, s 20.0 m"``."""
     if position.tag == "LanePosition":
         road, lane = scope.read_text(position, "roadId"), scope.read_text(position, "laneId")
         return f"road {road}, lane {lane.replace('-', '−')}, s {scope.read_number(position, 's'):.1f} m"

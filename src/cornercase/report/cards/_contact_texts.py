@@ -1,4 +1,4 @@
-"""What the ego touches, in the words of a test card; contacts that the study does not measure are told apart."""
+"""Texts of a test card on the contacts of the ego, measured by the study or not."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ _NONE: Final = "none"
 
 
 def clean(text: str, length: int = _MAX_NAME) -> str:
-    """Return a text from a file or a user as it can be shown."""
+    """Escape control characters in a text from a file or user, and shorten the text to `length` characters."""
     return shorten(escape_control_characters(text), length)
 
 
-def list_names(names: Sequence[str], word: str = "and") -> str:
-    """List names as they stand in a sentence; those for which there is no room are counted."""
+def list_names(names: Sequence[str], conjunction: str = "and") -> str:
+    """Join quoted names for a sentence: ``"A, B and C"``; of more than five names, the rest is only counted."""
     texts = [quote_name(clean(name)) for name in names[:_MAX_NAMES]]
     if len(names) > _MAX_NAMES:
         texts.append(f"{len(names) - _MAX_NAMES} more")
     *first, last = texts
-    return f"{', '.join(first)} {word} {last}" if first else last
+    return f"{', '.join(first)} {conjunction} {last}" if first else last
 
 
 def describe_contacts(meeting: Meeting) -> str:
-    """Describe, as part of a sentence, all contacts of the ego, measured or not."""
+    """Describe all contacts of the ego as part of a sentence, including contacts that the study does not measure."""
     contacts = []
     if meeting.collides:
         contacts.append(f"with {list_names([meeting.other, *_names(meeting.further_contacts)])}")
@@ -42,8 +42,8 @@ def describe_contacts(meeting: Meeting) -> str:
 
 
 def list_contacts(meetings: Sequence[Meeting | None]) -> list[dict[str, str]]:
-    """Return rows about contacts by name, for each of some runs; None is no run, and has no rows."""
-    # Of a contact that one run has, the others say that they have none.
+    """Return, for each run, the texts about its contacts by the name of the table row; empty for a run that is None."""
+    # If one run has a row, all runs have it; the text is "none" in runs without this kind of contact.
     has_further = any(meeting is not None and meeting.further_contacts for meeting in meetings)
     has_unmeasured = any(meeting is not None and meeting.unmeasured_contacts for meeting in meetings)
     columns: list[dict[str, str]] = []
@@ -61,9 +61,10 @@ def list_contacts(meetings: Sequence[Meeting | None]) -> list[dict[str, str]]:
 
 
 def ask_about_unmeasured(meetings: Sequence[Meeting], ego: str) -> str:
-    """Say what the ego touches in any of some runs without being measured against it; empty if nothing.
+    """Name the entities that the ego touches although the study does not measure it against them.
 
-    Whether that fails a run is for those who test, as the study does not judge it.
+    The sentence asks the testers to agree whether a contact with these entities fails a run, since the study does not
+    judge that. The text is empty if the ego touches no entity of this kind in any of the runs.
     """
     names = list(dict.fromkeys(name for meeting in meetings for name in _names(meeting.unmeasured_contacts)))
     if not names:
@@ -79,7 +80,7 @@ def _names(contacts: Sequence[tuple[str, float]]) -> list[str]:
 
 
 def _format_contacts(contacts: Sequence[tuple[str, float]]) -> str:
-    """Return the first of some contacts, and the number of the others."""
+    """Format the name and time in s of the first contact, and the number of further contacts."""
     if not contacts:
         return _NONE
     (name, time), n_more = contacts[0], len(contacts) - 1

@@ -1,4 +1,4 @@
-"""What fits on the page of A4 of a test card: rows of its tables, and the height of its drawings."""
+"""Layout of a test card on one A4 page: the table rows for which there is room, and the height of the drawings."""
 
 from __future__ import annotations
 
@@ -18,16 +18,17 @@ _MIN_PARAMETERS: Final = 1
 _MAX_IN_LINE: Final = 12
 _SETTING_LENGTH: Final = 30
 _MIN_PARTIES: Final = 2
-# Heights in mm: of the drawings, and where there is no room at all, of all that varies from card to card, and of lines.
+# Heights in mm: lowest and highest drawings, drawings if there is no room, everything that varies from card to card,
+# and a line of text.
 _DRAWING_HEIGHTS: Final = (30.0, 62.0)
 _MIN_DRAWING_HEIGHT: Final = 20.0
 _ROOM: Final = 206.0
 _LINE_HEIGHT: Final = 3.7
 _ROW_MARGIN: Final = 1.1
-# Of the columns below the drawings, without their texts and rows.
+# Heights in mm of the two columns below the drawings, without their texts and rows.
 _RESULTS_HEIGHT: Final = 9.0
 _BY_HAND_HEIGHT: Final = 53.0
-# Characters on a line: of a text over the whole page, of one in bold, below the results, and of a condition.
+# Characters on a line: of a text over the whole page, of a bold text, of the note below the results, of a condition.
 _LINE: Final = 115
 _BOLD_LINE: Final = 98
 _RESULTS_LINE: Final = 68
@@ -43,11 +44,11 @@ Trigger = tuple[str, str, str]
 
 @dataclass(frozen=True)
 class CardTexts:
-    """Texts and tables of a card before rows are left out for lack of room; parties in order of importance.
+    """All texts and tables of a test card, before rows for which there is no room are left out.
 
-    `lines` span the whole page. The first line is the verdict on the rounded scenario; it is in bold if `bold`. The
-    note `below_results` stands below the results. `trigger_ranks` has the rank of each trigger's actor; a lower rank is
-    more important.
+    `lines` span the whole page. The first line says whether the rounded scenario ends as in the study; `bold` applies
+    to this line only. `parties` are the entities in order of importance. The note `below_results` stands below the
+    results. `trigger_ranks` has the rank of each trigger's actor; a lower rank is more important.
     """
 
     lines: Sequence[str]
@@ -63,7 +64,7 @@ class CardTexts:
 
 @dataclass(frozen=True)
 class Layout:
-    """What a card shows: numbers of parameters and parties, triggers, and the height of the drawings in mm."""
+    """Contents of a test card: numbers of parameters and parties (entities), triggers, and height of drawings in mm."""
 
     n_parameters: int
     n_parties: int
@@ -72,7 +73,7 @@ class Layout:
 
 
 def list_settings(parameters: Sequence[Sequence[str]]) -> str:
-    """Return what has to be set for parameters that have no row in the table: their names and values, in a line."""
+    """Format names and rounded values of parameters in one line, for parameters that have no row in the table."""
     texts = [
         f"{shorten(name, _SETTING_LENGTH)} {shorten(value, _SETTING_LENGTH)}"
         for name, _, value, *_ in parameters[:_MAX_IN_LINE]
@@ -83,7 +84,7 @@ def list_settings(parameters: Sequence[Sequence[str]]) -> str:
 
 
 def arrange(texts: CardTexts) -> Layout:
-    """Choose what is shown, so that a card stays on its page: as many rows as there is room for beside the drawings."""
+    """Choose the rows and the drawing height with which a test card fits on one page."""
     low, high = _DRAWING_HEIGHTS
     n_parameters, n_parties = min(_MAX_PARAMETERS, len(texts.parameters)), min(MAX_PARTIES, len(texts.parties))
     room = _find_room(texts, n_parameters, n_parties)
@@ -105,7 +106,7 @@ def arrange(texts: CardTexts) -> Layout:
 
 
 def _find_room(texts: CardTexts, n_parameters: int, n_parties: int) -> float:
-    """Return the height in mm for triggers and drawings."""
+    """Return the height in mm that is left for triggers and drawings."""
     line_lengths = [_BOLD_LINE if texts.bold else _LINE, *[_LINE] * (len(texts.lines) - 1)]
     n_lines = sum(_count_lines(text, length) for text, length in zip(texts.lines, line_lengths, strict=True))
     n_lines += _count_lines(list_settings(texts.parameters[n_parameters:]), _LINE - 12)
@@ -119,7 +120,7 @@ def _find_room(texts: CardTexts, n_parameters: int, n_parties: int) -> float:
 
 
 def _find_bottom_height(texts: CardTexts) -> float:
-    """Return the height in mm of what is below the drawings, in two columns."""
+    """Return the height in mm of the two columns below the drawings."""
     left = _RESULTS_HEIGHT + sum(_row_height(row, _RESULT_CHARACTERS) for row in texts.results)
     left += _LINE_HEIGHT * _count_lines(texts.below_results, _RESULTS_LINE)
     right = _BY_HAND_HEIGHT + _LINE_HEIGHT * sum(_count_lines(text, _ACCEPTANCE_LINE) for text in texts.conditions)

@@ -1,4 +1,4 @@
-"""What happens in a run, as a test card tells it: the contact of the ego, or its closest approach to another."""
+"""First contact of the ego in a run, or its closest approach to another entity, as a test card shows it."""
 
 from __future__ import annotations
 
@@ -16,14 +16,15 @@ from cornercase.recordings import Recording
 
 @dataclass(frozen=True)
 class Meeting:
-    """The first contact of the ego with one of the others, or without contact the closest approach.
+    """First contact of the ego with one of the measured entities, or its closest approach if there is no contact.
 
-    `instant` is an index of the recording, `time` in s. `gap` is between the boxes in m: 0 at a contact, NaN if both
-    are never there at once. Speeds are in m/s along the heading; `relative_speed` is the magnitude of the relative
-    velocity. `sides` are those of the ego's and the other's box that touch, and `point` is where, in m; None without
-    contact, or if unknown. `crosses` says whether the paths cross, and is None if they neither cross nor go along the
-    same road. `further_contacts` are those with others besides, and `unmeasured_contacts` those with entities that the
-    study does not measure: name and time of the first one in s, in order of time.
+    `instant` is an index of the recording, and `time` is in s. `gap` is the distance between the boxes in m: 0 at a
+    contact, NaN if both entities never exist at the same time. Speeds are in m/s along the heading; `relative_speed` is
+    the magnitude of the relative velocity. `sides` are the touching sides of the ego's and the other's box, and `point`
+    is the point of contact in m; both are None without contact, or if unknown. `crosses` says whether the paths cross;
+    None if the paths neither cross nor go along the same road. `further_contacts` are contacts with other measured
+    entities, and `unmeasured_contacts` contacts with entities that the study does not measure. Each contact is a name
+    and the first time in s, in order of time.
     """
 
     other: str
@@ -42,13 +43,13 @@ class Meeting:
 
     @property
     def entities_hit(self) -> frozenset[str]:
-        """All entities that the ego touches, measured or not."""
+        """Names of all entities that the ego touches, measured by the study or not."""
         further = {name for name, _ in self.further_contacts + self.unmeasured_contacts}
         return frozenset(further | {self.other} if self.collides else further)
 
 
 def find_meeting(recording: Recording, ego: str, others: tuple[str, ...]) -> Meeting:
-    """Find the first contact of the ego with one of the others, or without one the closest approach."""
+    """Find the first contact of the ego with one of `others`, or its closest approach if there is no contact."""
     whole = recording.with_absent_entities((ego, *others))
     other = nearest_other(whole, ego, others)
     outcome = find_outcome(whole, ego, other, others=False)
@@ -79,7 +80,7 @@ def find_meeting(recording: Recording, ego: str, others: tuple[str, ...]) -> Mee
 
 
 def _first_contacts(recording: Recording, ego: str) -> list[tuple[str, float]]:
-    """Return each entity that the ego touches, and when it first does, in order of time."""
+    """Return the name of each entity that the ego touches and the first time in s, in order of time."""
     times: dict[str, float] = {}
     for collision in sorted(recording.collisions, key=lambda collision: collision.time):
         if ego in collision.entities:

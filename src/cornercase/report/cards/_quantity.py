@@ -1,4 +1,4 @@
-"""What a varied parameter measures, and the steps in which a proving ground can set it."""
+"""Units of varied parameters, and the steps in which a proving ground can set their values."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cornercase.scenario._quantities import QUANTITIES
 
 KMH_PER_MS: Final = 3.6
 
-# Speeds that vary by less than this, such as those of a lane change, are set more finely; in km/h.
+# Speeds with a narrower range than this, in km/h, get a finer step; for example the lateral speed of a lane change.
 _NARROW_SPEED_RANGE: Final = 5.0
 _NAME_UNITS: Final = {
     "kph": "km/h", "kmh": "km/h", "kmph": "km/h", "mps": "m/s", "m": "m", "s": "s", "deg": "°", "rad": "rad",
@@ -23,10 +23,10 @@ _STEPS: Final = {"m": 0.1, "s": 0.1, "°": 1.0, "rad": 0.01, "m/s²": 0.1, "m/s^
 
 @dataclass(frozen=True)
 class SettableQuantity:
-    """What a parameter measures, and in which steps it can be set.
+    """Unit of a parameter, and the step to which a proving ground can set its values.
 
-    `unit` is empty if it is unknown. `step` is None if values are not rounded, and `note` says why. `is_narrow_speed`
-    says that values are speeds that vary little, as those of a lane change, and are set more finely.
+    `unit` is empty if the unit is unknown. `step` is in this unit. If `step` is None, values are not rounded, and
+    `note` says why. `is_narrow_speed` is True for speeds with a narrow range, which have a finer step.
     """
 
     unit: str
@@ -36,16 +36,20 @@ class SettableQuantity:
 
     @property
     def is_speed(self) -> bool:
-        """Whether values are speeds."""
+        """True if values are speeds."""
         return self.unit in _SPEED_UNITS
 
     def to_kmh(self, value: float) -> float:
-        """Return a speed in km/h."""
+        """Convert a speed from the unit of this quantity to km/h."""
         return value * _SPEED_UNITS[self.unit]
 
 
 def find_settable_quantity(parameter: Parameter, scenario: ScenarioFile | None) -> SettableQuantity:
-    """Find what a parameter measures: by its unit, by where the scenario uses it, or by the end of its name."""
+    """Find the unit of a parameter, and the step to which its values can be set.
+
+    The unit is the parameter's own, the unit of the scenario's attributes that use the parameter, or the ending of its
+    name, such as ``_kph``.
+    """
     if parameter.choices:
         return SettableQuantity(parameter.unit, None, "a choice")
     unit = parameter.unit or _unit_in_scenario(parameter.name, scenario) or _unit_in_name(parameter.name)
@@ -61,7 +65,7 @@ def find_settable_quantity(parameter: Parameter, scenario: ScenarioFile | None) 
 
 
 def _unit_in_scenario(name: str, scenario: ScenarioFile | None) -> str:
-    """Return the unit of the attributes that are set to the parameter itself; empty if there are none, or several."""
+    """Return the unit of the scenario's attributes with the value ``$name``; empty without a single unit."""
     if scenario is None:
         return ""
     units = {

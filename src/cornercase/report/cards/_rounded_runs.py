@@ -1,4 +1,4 @@
-"""Run rounded scenarios again, and choose a rounding that keeps the outcome."""
+"""Runs of scenarios with rounded parameters, and the choice of a rounding that keeps the outcome."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ _SIMULATORS: Final = ("builtin", "esmini")
 
 @dataclass(frozen=True)
 class CardRun:
-    """A run of a scenario, and how it ends.
+    """Run of a scenario: its parameter values, recording and scores, and how it ends.
 
-    `is_critical` is None without a threshold, or if a score is not known.
+    `is_critical` is None if the study has no threshold, or if a score is unknown.
     """
 
     values: Mapping[str, Value]
@@ -39,9 +39,10 @@ class CardRun:
     is_critical: bool | None
 
     def ends_like(self, other: CardRun) -> bool:
-        """Return whether both end alike: contacts with the same entities or none, and critical or not.
+        """Return whether both runs end in the same way.
 
-        The first of the measured contacts has to be with the same entity, too.
+        The ego must touch the same entities, and the same entity first among those that the study measures. Both runs
+        must be critical, or neither.
         """
         same_contact = self.meeting.collides == other.meeting.collides and (
             not self.meeting.collides or self.meeting.other == other.meeting.other
@@ -52,11 +53,11 @@ class CardRun:
 
 @dataclass(frozen=True)
 class RoundedRun:
-    """The rounding that a card names, and what came out when it was run.
+    """Rounded parameter values that a test card shows, and the run of the scenario with these values.
 
-    `run` is None if it was not run, and `reason` says why the nearest rounding was not run. `keeps_outcome` is None
-    then. Of `n_possible` roundings, up or down in each parameter, the `n_tried` nearest were tried; `n_failed` of them
-    could not be run.
+    If the scenario was not run with these values, `run` and `keeps_outcome` are None. `reason` says why the nearest
+    rounding was not run. There are `n_possible` roundings, up or down in each parameter. The `n_tried` nearest were
+    tried, and `n_failed` of these could not be run.
     """
 
     values: Mapping[str, Value]
@@ -70,13 +71,13 @@ class RoundedRun:
 
 
 def stored_run(study: StudyFile, scenario: int, values: Mapping[str, Value]) -> CardRun:
-    """Return the run of a scenario that a study holds."""
+    """Return the run of a scenario as it is stored in the study."""
     recording, scores = study.recording(scenario), study.scenario_scores(scenario)
     return _judge(study.meta, study.objective, values, recording, scores)
 
 
 def reason_not_to_run(meta: StudyMeta) -> str:
-    """Return why rounded scenarios of a study are not run again; empty if they can be."""
+    """Return the reason why rounded scenarios of a study cannot be run again; empty if they can be run."""
     if meta.simulator == IMPORTED_SIMULATOR:
         return "its recording was imported, and what made it is not known"
     if meta.suite:
@@ -94,7 +95,10 @@ def reason_not_to_run(meta: StudyMeta) -> str:
 
 
 class RoundedRunner:
-    """Runs rounded scenarios of a study as the study ran them. Use it as a context manager."""
+    """Runner of rounded scenarios, with the simulator, drivers and metrics of the study.
+
+    Use this class as a context manager.
+    """
 
     def __init__(self, study: StudyFile, scenario: ScenarioFile) -> None:
         meta = study.meta
@@ -113,9 +117,11 @@ class RoundedRunner:
         self._simulator.__exit__(*exception)
 
     def choose_rounding(self, original: CardRun, roundings: Sequence[Rounding], n_possible: int) -> RoundedRun:
-        """Run the nearest rounding; if it ends otherwise, run the others, and choose the nearest that does not.
+        """Choose the nearest rounding whose run ends like the original run.
 
-        `roundings` are the nearest of `n_possible`.
+        The nearest rounding is run first, and the others only if it fails or ends in another way. If no rounding ends
+        like the original run, the nearest one is returned. `roundings` are the nearest of `n_possible`, in order of
+        distance.
         """
         nearest, *others = roundings
         (first,) = self._run([nearest])
@@ -134,7 +140,7 @@ class RoundedRunner:
         return RoundedRun(nearest.values, first, False, len(tried), n_possible, n_failed)
 
     def _run(self, roundings: Sequence[Rounding]) -> list[CardRun | str]:
-        """Run scenarios; return what came out of each, or why it could not be run."""
+        """Run the scenario with each rounding; a text in the result says why that run failed."""
         concretes = [
             ConcreteScenario(self._scenario.path, rounding.values, self._scenario, self._meta.seed)
             for rounding in roundings

@@ -1,4 +1,4 @@
-"""Round the parameters of a scenario to steps that can be set, within their ranges."""
+"""Roundings of parameter values to steps that a proving ground can set, within the ranges of the parameters."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from typing import Final
 from cornercase.report.cards._quantity import SettableQuantity
 from cornercase.scenario import Parameter, Value
 
-# Values that are this close to a step, in steps, are on it.
+# Values this close to a multiple of the step, as a share of the step, count as equal to the multiple.
 _TOLERANCE: Final = 1e-6
-# Scenarios that are run to find a rounding that keeps the outcome.
+# Most scenarios that are run to find a rounding that keeps the outcome.
 _MAX_ROUNDINGS: Final = 64
 
 
 @dataclass(frozen=True)
 class Rounding:
-    """Values of a scenario on steps, by parameter, and how far they are from the original ones in steps."""
+    """Rounded values of a scenario by parameter, and their Euclidean distance from the original values in steps."""
 
     values: Mapping[str, Value]
     distance: float
@@ -27,11 +27,12 @@ class Rounding:
 def iter_roundings(
     parameters: Sequence[Parameter], quantities: Sequence[SettableQuantity], values: Mapping[str, Value]
 ) -> Iterator[Rounding]:
-    """Yield the roundings of a scenario, up or down in each parameter, the nearest first; at most the nearest 64.
+    """Yield the 64 nearest roundings of a scenario, up or down in each parameter, the nearest first.
 
-    Each value is within the range of its parameter. A parameter whose range has no step keeps its value.
+    Each value is within the range of its parameter. A parameter that is not rounded, or whose range contains no
+    multiple of the step, keeps its value.
     """
-    # Whatever the values of the parameters that follow, only the nearest so far can be among the nearest in the end.
+    # Further parameters only add to distances, so roundings that are not among the nearest so far can be dropped.
     # Sorting is stable, so equal distances keep their order.
     nearest: list[Rounding] = [Rounding(values, 0.0)]
     for name, pairs in _list_neighbours(parameters, quantities, values).items():
@@ -47,14 +48,14 @@ def iter_roundings(
 def count_roundings(
     parameters: Sequence[Parameter], quantities: Sequence[SettableQuantity], values: Mapping[str, Value]
 ) -> int:
-    """Return how many roundings of a scenario there are, up or down in each parameter; they may be more than 64."""
+    """Return the number of all roundings of a scenario, up or down in each parameter; it may be greater than 64."""
     return math.prod(map(len, _list_neighbours(parameters, quantities, values).values()))
 
 
 def _list_neighbours(
     parameters: Sequence[Parameter], quantities: Sequence[SettableQuantity], values: Mapping[str, Value]
 ) -> dict[str, list[tuple[float, float]]]:
-    """Return the steps next to each value that is rounded, by parameter, with their distances in steps."""
+    """Return by parameter the rounded values next to the value, each with its distance from the value in steps."""
     return {
         parameter.name: _neighbours(float(values[parameter.name]), quantity.step, parameter.low, parameter.high)
         for parameter, quantity in zip(parameters, quantities, strict=True)
@@ -63,7 +64,10 @@ def _list_neighbours(
 
 
 def _neighbours(value: float, step: float, low: float, high: float) -> list[tuple[float, float]]:
-    """Return the steps below and above a value within a range, the nearer first, with their distances in steps."""
+    """Return the multiples of `step` below and above a value, nearest first, each with its distance in steps.
+
+    Multiples outside the range are left out; without any multiple, the value itself is returned.
+    """
     position = value / step
     if abs(position - round(position)) <= _TOLERANCE:
         return [(_on_step(round(position), step), 0.0)]
@@ -74,5 +78,5 @@ def _neighbours(value: float, step: float, low: float, high: float) -> list[tupl
 
 
 def _on_step(k: int, step: float) -> float:
-    # Without the last digits that a product has, so that files and cards show what is set.
+    # Without the rounding error of the product, so that files and cards show the value that is set.
     return float(f"{k * step:.12g}")

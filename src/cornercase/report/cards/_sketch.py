@@ -1,4 +1,4 @@
-"""Sketches from above for paper: road, paths, and boxes at the start and at the meeting."""
+"""Sketches of a run from above, as SVG for print: road, paths, and boxes at the start and at the meeting."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _PER_MM: Final = 5.0
 # Strip below a drawing for scale and axes, and space around what is shown, for names; in units of a drawing.
 _STRIP: Final = 30.0
 _PADDING: Final = 24.0
-# Around what is shown, in m.
+# Margin around the boxes that are shown, in m.
 _MARGIN: Final = 4.0
 # Smallest part of the road that a sketch shows, and what the sketch of the meeting shows, in m.
 _MIN_WIDTH: Final = 20.0
@@ -35,7 +35,11 @@ _BAR_LENGTHS: Final = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0
 
 @dataclass(frozen=True)
 class View:
-    """A part of the plane on paper; with `turned`, x goes down and y to the right, so that long roads lie flat."""
+    """Projection of a part of the plane, in m, to drawing coordinates.
+
+    `scale` is in drawing units per m; `width` and `height` are in drawing units. If `turned`, x goes down and y to the
+    right, so that roads along y fill a wide drawing.
+    """
 
     center: tuple[float, float]
     scale: float
@@ -45,7 +49,10 @@ class View:
 
     @classmethod
     def fit(cls, region: Region, width: float, height: float, turned: bool, padding: float = 0.0) -> View:
-        """Return the view that shows a region on `width` times `height` units of a drawing, strip and all."""
+        """Return the view that fits a region, in m, into a drawing.
+
+        `width`, `height` and `padding` are in drawing units; `height` includes the strip with the scale.
+        """
         height -= _STRIP
         x_min, y_min, x_max, y_max = region
         across, up = max(x_max - x_min, 1.0), max(y_max - y_min, 1.0)
@@ -54,7 +61,7 @@ class View:
         return cls(((x_min + x_max) / 2.0, (y_min + y_max) / 2.0), scale, width, height, turned)
 
     def project(self, points: FloatArray) -> FloatArray:
-        """Return drawing coordinates of points in m, shape (n, 2)."""
+        """Return the drawing coordinates of points given in m, shape (n, 2)."""
         dx, dy = (points - np.array(self.center)).T * self.scale
         right, up = (dy, -dx) if self.turned else (dx, dy)
         return np.stack([self.width / 2.0 + right, self.height / 2.0 - up], axis=1)
@@ -63,10 +70,10 @@ class View:
 def draw_course(
     recording: Recording, ego: str, meeting: Meeting, road: RoadOutline | None, width_mm: float, height_mm: float
 ) -> Markup:
-    """Draw the paths of the ego and of the entity that it meets, with boxes at the start and at the meeting."""
+    """Draw the paths of all entities from above, with boxes at the start and at the meeting of ego and other."""
     region = _region_of_course(recording, ego, meeting)
     size = width_mm * _PER_MM, height_mm * _PER_MM
-    # The larger one; the first if both are alike.
+    # The view with the larger scale; the first if both scales are equal.
     view = max((View.fit(region, *size, turned, _PADDING) for turned in (False, True)), key=lambda view: view.scale)
     parts = [*_draw_road(view, road)]
     for name in _drawing_order(recording, ego, meeting):
@@ -81,7 +88,7 @@ def draw_course(
 def draw_meeting(
     recording: Recording, ego: str, meeting: Meeting, road: RoadOutline | None, width_mm: float, height_mm: float
 ) -> Markup:
-    """Draw the boxes at the contact or at the closest approach, from near."""
+    """Draw a close-up of the boxes at the contact, or at the closest approach if there is no contact."""
     centers = [recording.box_center(name)[meeting.instant] for name in (ego, meeting.other)]
     centers = [center for center in centers if np.isfinite(center).all()]
     reach = _MEETING_RADIUS
@@ -162,7 +169,7 @@ def _draw_boxes(
 
 
 def _corners(recording: Recording, name: str) -> FloatArray:
-    """Return the corners of a box in m, shape (T, 4, 2), NaN where it does not exist."""
+    """Return the corners of an entity's box at all T instants in m, shape (T, 4, 2); NaN while it does not exist."""
     k, center = recording.entity_index(name), recording.box_center(name)
     return box_corners(center[:, 0], center[:, 1], recording.heading[k], recording.length[k], recording.width[k])
 
@@ -188,7 +195,7 @@ def _arrow(view: View, recording: Recording, name: str, instant: int, role: str)
 
 
 def _draw_labels(view: View, recording: Recording, ego: str, meeting: Meeting) -> Iterator[str]:
-    """Yield the names at the starts, above or below the boxes, whichever is farther from the other's start."""
+    """Yield labels with the names at the start boxes of ego and other: above the upper box, below the lower box."""
     boxes = {}
     for name in (ego, meeting.other):
         if name in recording.names and (first := _first_instant(_corners(recording, name))) is not None:
@@ -211,7 +218,7 @@ def _draw_point(view: View, meeting: Meeting) -> Iterator[str]:
 
 
 def _draw_scale(view: View) -> Iterator[str]:
-    """Yield the strip below the drawing: a bar of a round length, and the axes of the road file."""
+    """Yield the strip below the drawing: a scale bar with a round length in m, and the axes of the road file."""
     fitting = [length for length in _BAR_LENGTHS if length * view.scale <= 0.3 * view.width]
     meters = max(fitting, default=_BAR_LENGTHS[0])
     length, y = meters * view.scale, view.height + 19.0

@@ -1,4 +1,4 @@
-"""Where and how fast each party starts."""
+"""Pose and speed of each entity at its first instant in a recording."""
 
 from __future__ import annotations
 
@@ -16,11 +16,12 @@ from cornercase.scenario._file import ScenarioFile
 
 @dataclass(frozen=True)
 class StartPose:
-    """Where an entity is when it first exists.
+    """Pose, speed and size of an entity at the first instant at which it exists.
 
-    `time` is in s, `speed` in m/s, all lengths in m. `x` and `y` are of the reference point; `heading` is in degrees,
-    from -180 to 180, counter-clockwise from x. `road` and `lane` are empty, `s` and `offset` (to the left from the
-    lane's centre, seen along s) NaN, if they are not known or the point is on no road.
+    `time` is in s, `speed` in m/s, all lengths in m. `x` and `y` are the reference point. `heading` is in degrees, from
+    -180 to 180, counter-clockwise from the x-axis. `s` is the distance along the road, and `offset` the distance from
+    the centre of the lane, to the left as seen along s. If the point is on no road, or the road is unknown, `road` and
+    `lane` are empty, and `s` and `offset` are NaN.
     """
 
     name: str
@@ -39,7 +40,7 @@ class StartPose:
 
 
 def list_start_poses(recording: Recording, network: RoadNetwork | None) -> list[StartPose]:
-    """List where each entity of a recording is when it first exists; those that never do are left out."""
+    """List the start poses of the entities of a recording; entities that never exist are left out."""
     poses = []
     for k, name in enumerate(recording.names):
         present = np.flatnonzero(np.isfinite(recording.x[k]) & np.isfinite(recording.y[k]))
@@ -63,7 +64,7 @@ def read_network(scenario: ScenarioFile | None, values: dict[str, float | str]) 
         return None
     try:
         path = scenario.road_path_for(values)
-        # Studies may be untrusted: a parameter value must not lead to any other file.
+        # Studies may be untrusted: a parameter value must not lead to an arbitrary file.
         if path is None or path not in scenario.road_paths():
             return None
         return RoadNetwork.from_xml(scenario.get_root(path), path)

@@ -1,4 +1,4 @@
-"""What starts what in a scenario: the events that move somebody, in words."""
+"""Events of a storyboard that move entities, and their start conditions, in words."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _AT_START: Final = "at the start"
 
 @dataclass(frozen=True)
 class Movement:
-    """An event of the storyboard: who does what, and when, in words; `actors` are the names of those who do it."""
+    """Event of a storyboard that moves entities: who does what and when, in words; `actors` are entity names."""
 
     who: str
     what: str
@@ -29,9 +29,9 @@ class Movement:
 
 
 def list_movements(scenario: ScenarioFile, values: Mapping[str, Value]) -> list[Movement]:
-    """List the events of a scenario that move somebody, with their start conditions in words.
+    """List the events of a scenario that move entities, with their start conditions in words.
 
-    Values in them are those of the concrete scenario. InputError if the file cannot be read so.
+    The words contain the parameter values of the concrete scenario. InputError if the file cannot be read with these.
     """
     names = set(scenario.parameters)
     scope = scenario.scope([{name: value for name, value in values.items() if name in names}])
@@ -66,7 +66,7 @@ def _maneuvers(group: etree._Element, scope: Scope) -> Iterator[tuple[etree._Ele
 
 
 def _describe_action(action: etree._Element, scope: Scope) -> str:
-    """Describe an action that moves its actors; empty for any other."""
+    """Describe an action that moves its actors; empty for any other action."""
     leaf = next(
         (
             child

@@ -1,4 +1,4 @@
-"""Write test cards: one page of A4 for each kept scenario, for the people who drive it on a proving ground."""
+"""Test cards: an HTML page that prints one scenario on each A4 page, for people who drive it on a proving ground."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from cornercase.study import StudyFile
 from cornercase.study._scenario_file import find_explored_scenario
 from cornercase.study._study_file import open_study
 
-# Pages that somebody may still print.
+# Most pages that somebody may want to print.
 _MAX_CARDS: Final = 500
 _POLICY: Final = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
 
@@ -44,25 +44,26 @@ def write_test_cards(
     scenario: Path | str | None = None,
     critical: float | None = None,
 ) -> Path:
-    """Write test cards: an HTML page without scripts that prints one kept scenario on each page of A4.
+    """Write test cards: an HTML page without scripts that prints one scenario on each A4 page, to drive it on a track.
 
     The parameters are rounded to steps that a proving ground can set: speeds to 1 km/h, distances to 0.1 m, times to
-    0.1 s. Each rounded scenario is run again with the study's simulator, if that is ``"builtin"`` or ``"esmini"``; the
-    card says whether it ends as in the study. If it does not, the nearest rounding up or down that does is taken; if
-    there is none among the nearest 64, the card says so.
+    0.1 s. If the study's simulator is ``"builtin"`` or ``"esmini"``, each rounded scenario is run again, and the card
+    says whether it ends as in the study. If it ends in another way, other roundings up or down are tried, at most the
+    nearest 64. The card shows the nearest rounding that ends as in the study, or says that there is none.
 
     Parameters
     ----------
     study : StudyFile or path
         An open study, or its file; it is only read.
     path : path
-        Page to write; its name ends with ``.html``.
+        HTML file to write; its name ends with ``.html``.
     ids : sequence of int, optional
-        Scenarios of the study; default: the reduced set, or all scenarios of a suite.
+        Ids of scenarios. By default the reduced set; in a study of a suite that was not reduced, all scenarios.
     scenario : path, optional
         OpenSCENARIO file that was explored, if it is not found beside the study.
     critical : float, optional
-        Score from which a scenario is critical, in the unit of the objective; default: that of the study.
+        Threshold of the score from which a scenario is critical, in the unit of the objective. By default the
+        threshold of the study.
 
     Returns
     -------
@@ -106,14 +107,13 @@ def _choose_ids(study: StudyFile, ids: Sequence[int] | None) -> list[int]:
         ids = sorted(finished) if reduced is None else [scenario.id for scenario in reduced.scenarios]
     chosen = list(dict.fromkeys(validation.check_int("ids", scenario, 1) for scenario in ids))
     if not chosen:
-        raise InputError(f"{study.path}: there is no scenario to make test cards of; name some with `ids`.")
+        raise InputError(f"{study.path}: there are no scenarios to write test cards for; name some with `ids`.")
     if len(chosen) > _MAX_CARDS:
         raise InputError(f"`ids`: {len(chosen)} test cards are too many to print; name at most {_MAX_CARDS}.")
     missing = [scenario for scenario in chosen if scenario not in finished]
     if missing:
         raise InputError(
-            f"{study.path}: scenario {missing[0]} was not run, or does not exist; name scenarios that were run with"
-            " `ids`."
+            f"{study.path}: scenario {missing[0]} was not run, or does not exist; give `ids` of run scenarios."
         )
     return chosen
 
@@ -153,7 +153,7 @@ def _render_cards(study: StudyFile, ids: Sequence[int], given: Path | str | None
 
 
 def _find_scenario(study: StudyFile, given: Path | str | None) -> tuple[ScenarioFile | None, str]:
-    """Return the scenario file, or None and why there is none; InputError if `given` is another file."""
+    """Return the explored file, or None and why it was not found; InputError if `given` is not the explored file."""
     try:
         return find_explored_scenario(study, given), ""
     except InputError:
@@ -169,7 +169,10 @@ def _make_chooser(
     reason: str,
     stack: ExitStack,
 ) -> _ChooseRounding:
-    """Return a function that chooses the rounding of a run; runs nothing if there is a reason not to."""
+    """Return a function that chooses the rounding of a run.
+
+    With a `reason` not to run scenarios, the function takes the nearest rounding without running it.
+    """
     parameters, runner = study.meta.space.parameters, None
     if not reason and scenario is not None:
         try:

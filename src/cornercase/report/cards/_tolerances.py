@@ -1,8 +1,8 @@
-"""Tolerances after a published test protocol, for the parties of a test card.
+"""Tolerances from a published test protocol, for the entities on a test card.
 
-The numbers were read from a copy of the protocol that a third party offers, and not from its publisher: whoever tests
-has to compare them with the protocol of the actual test. They are those between the start of the test and the first
-intervention of the system, by the kind of target: ``VUT`` (vehicle under test), ``GVT`` (global vehicle target),
+The numbers were read from a third party's copy of the protocol, which is not official. Testers have to compare the
+numbers with the protocol of the actual test. The tolerances apply from the start of the test to the first intervention
+of the system, by the kind of target: ``VUT`` (vehicle under test), ``GVT`` (global vehicle target),
 ``EPT`` (pedestrian), ``EBT`` (bicyclist), ``EMT`` (motorcyclist).
 """
 
@@ -24,7 +24,7 @@ _LONGITUDINAL: Final = "0 ± 0.15 m"
 
 @dataclass(frozen=True)
 class Tolerances:
-    """Tolerances of a party as texts; empty where the protocol has none."""
+    """Tolerances of an entity in a test, as texts; a text is empty if the protocol has no tolerance."""
 
     target: str
     speed: str
@@ -47,9 +47,9 @@ _TARGETS: Final = {
 
 
 def find_tolerances(object_type: str, *, is_ego: bool, crosses: bool | None) -> Tolerances | None:
-    """Return the tolerances of a party, None if the protocol has no target like it.
+    """Return the tolerances of an entity in a test; None if the protocol has no target of its type.
 
-    `crosses` says whether its path crosses that of the ego; None if that is unknown.
+    `crosses` says whether the paths of the entity and the ego cross; None if that is unknown.
     """
     if is_ego:
         return _VUT if object_type in ("car", "van") else None
