@@ -127,7 +127,7 @@ def fill_card(
 
 
 def describe_function(study: StudyFile) -> str:
-    """Format the ego and its driver, ``"Ego, driven by NAME"``, or only the ego if the driver is unknown."""
+    """Format the ego and its driver, ``"Ego, driven by NAME"``, or only the ego if the study sets no driver."""
     driver = study.meta.ego_driver
     text = f"{study.meta.ego}, driven by {format_driver(driver)}" if driver else study.meta.ego
     return clean(text, 80)

@@ -1,1 +1,1 @@
-"""Texts of the report and of `show`."""
+"""Texts of the report page, and of the command ``cornercase show``."""

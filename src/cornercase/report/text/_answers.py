@@ -1,4 +1,4 @@
-"""Questions and answers at the top of the report."""
+"""Questions and answers at the top of the report page."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ from cornercase.report.text._what_next import (
 from cornercase.study._import_recordings import IMPORTED_SIMULATOR
 from cornercase.suite._verdict import worst_state
 
-# Points listed below an answer; the details have all.
+# Most points listed below an answer; the details of the page have all.
 _MAX_POINTS = 6
 _MAX_NEAR_MISSES = 5
 _NEGLIGIBLE_SHARE = 0.01
@@ -71,7 +71,7 @@ _MANNERS: Final[dict[Manner, str]] = {
 
 @dataclass(frozen=True)
 class Answer:
-    """Answer to one of the questions that every report asks."""
+    """Answer to a question at the top of the report page, such as "Does it collide?"."""
 
     name: str  # for addresses and tests
     question: str
@@ -79,7 +79,7 @@ class Answer:
     points: tuple[str, ...] = ()  # listed below the text
 
     def to_json(self) -> dict[str, Any]:
-        """Return the fields as plain text."""
+        """Return the fields as a dictionary for JSON, with control characters escaped."""
         return {
             "name": self.name,
             "question": self.question,
@@ -89,9 +89,9 @@ class Answer:
 
 
 def page_answers(data: ReportData) -> Iterator[Answer]:
-    """Yield the answers to all questions in the order of the page.
+    """Yield the answers at the top of the report page, in the order of the page.
 
-    `summary_to_dict` contains all numbers in them, too.
+    All numbers in these answers are also values in the result of `summary_to_dict`.
     """
     summary = data.summary
     if data.verdicts:
@@ -218,7 +218,7 @@ def _answer_replies(data: ReportData, replies: ReplyCounts) -> Answer:
 
 
 def _answer_nothing_to_avoid(data: ReportData) -> Answer:
-    """Say which margin the worst scenarios have, where nothing collides."""
+    """Answer "What do I fix?" if nothing collides: name the nearest miss and the most critical scenario."""
     summary, sentences = data.summary, ["Nothing collided, so there is no collision to avoid."]
     if misses := sort_near_misses(data.approaches, {}):
         sentences.append(f"The margin was smallest in scenario {misses[0][0]}: {misses[0][1].describe()}.")
@@ -230,7 +230,7 @@ def _answer_nothing_to_avoid(data: ReportData) -> Answer:
 
 
 def _describe_faults(data: ReportData) -> str:
-    """Say whose fault the collisions are; empty if an early version stored none."""
+    """Describe who is at fault in how many collisions; empty for studies of early versions, which store no faults."""
     meta, counts = data.summary.meta, data.summary.faults
     other = meta.others[0] if len(meta.others) == 1 else "the other"
     subjects = {"ego": meta.ego, "other": other, "both": "both"}
@@ -259,7 +259,7 @@ def _answer_critical_share(data: ReportData) -> Answer:
         counts = f"{who} {summary.n_run} scenarios{which_ran} {verb} critical ({criterion})."
     else:
         counts = f"None of the {summary.n_run} scenarios{which_ran} is critical ({criterion})."
-    # Beside what else would have avoided collisions, if there are any.
+    # After collisions, the answer to "What do I fix?" has the references.
     counts += "" if summary.replies is not None else describe_references(summary.references)
     if override := describe_threshold_override(summary):
         counts += f" {override}"
@@ -302,7 +302,7 @@ def _answer_missed(data: ReportData, critical: CriticalEstimates) -> Answer:
         sentences.append(f"{_describe_share(estimates.missed_fraction.value)} of the critical set.")
         sentences.append(f"There is no interval: {estimates.missed_interval_unavailable}.")
     elif estimates.missed_fraction.low >= _NEARLY_ALL:
-        # The share is that of a volume, and single scenarios have none.
+        # The share is one of volume, and single scenarios have no volume.
         subject = "one that was" if critical.n_critical == 1 else f"{critical.n_critical} that were"
         sentences.append(
             "By the model nearly all of the critical set, but it predicts hardly anything critical even around the"
@@ -358,7 +358,7 @@ def _answer_clusters(data: ReportData) -> Answer:
         sentences.append(f"There are also kinds by {join_with_and(divided)}.")
     if undivided:
         sentences.append(f"There are no separate kinds by {join_with_and(undivided)}.")
-    # Names of kinds that tell nothing apart tell nothing; the details have them.
+    # Names of clusters that do not separate outcomes say nothing here; the details have them.
     points = [*(points if has_useful_clusters(analysis) else []), *bands]
     return Answer(name, question, " ".join(sentences), tuple(points))
 
@@ -417,7 +417,7 @@ def _answer_reduced_set(data: ReportData) -> Answer:
 
 
 def _describe_selected_outcomes(data: ReportData, reduced: ReducedSet) -> str:
-    """Say how many of the kept scenarios are critical, and in how many the ego collides."""
+    """Describe how many of the kept scenarios are critical, and in how many the ego collides."""
     selected = set(reduced.ids)
     n_critical = None
     if data.summary.estimates.critical is not None:
@@ -436,7 +436,7 @@ def _describe_coverage(data: ReportData, reduced: ReducedSet) -> Iterator[str]:
         which = "every one is" if covered == count else f"{format_percent(critical[by].critical)} are"
         yield f"Of the held-out critical scenarios, {which} like a kept one by {by} ({covered} of {count})."
     elif reduced.by in reduced.critical and (share := reduced.critical[reduced.by].critical) is not None:
-        # Evaluated with another threshold than that of the selection.
+        # The threshold is not the one of the selection, so there are no held-out scenarios.
         yield f"{_describe_share(share)} of the critical scenarios that were run are like a kept one by {reduced.by}."
     graded = {name: entry.held_out for name, entry in reduced.coverage.items() if entry.held_out is not None}
     by = reduced.by if reduced.by in graded else next(iter(graded), None)
@@ -461,7 +461,7 @@ def _answer_front(data: ReportData) -> Answer:
 
 
 def describe_front_ends(data: ReportData) -> Iterator[str]:
-    """Yield a text for each metric: which scenario of the Pareto front is the most critical by it."""
+    """Yield a sentence for each metric that names the most critical scenario by this metric on the Pareto front."""
     front = data.summary.estimates.pareto_front or {}
     for metric in data.metrics:
         ids = sorted(front, key=lambda scenario: (metric.to_minimize(front[scenario][metric.name]), scenario))

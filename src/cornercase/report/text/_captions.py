@@ -1,4 +1,4 @@
-"""Captions of the figures and of the page's views."""
+"""Captions of the figures of a study, and of the views (diagrams) of its report page."""
 
 from __future__ import annotations
 
@@ -26,9 +26,10 @@ from cornercase.report.text._phrases import (
 
 
 def describe_views(data: ReportData) -> dict[str, Any]:
-    """Return the captions of the page's views by name: a text, or a mapping from metric or aspect to text.
+    """Return the captions of the views (diagrams) of the report page, by name of the view.
 
-    A view without an entry has the same caption in every study.
+    A caption is a text, or a mapping from metric or aspect (what scenarios are compared by) to text. Views that have
+    the same caption in every study are left out.
     """
     summary = data.summary
     estimates, analyses = summary.estimates, summary.analyses
@@ -52,7 +53,7 @@ def _to_plain_text(caption: Any) -> Any:
 
 
 def describe_cluster_count(analysis: Analysis) -> str:
-    """Describe how many clusters were found by an aspect (a way to compare scenarios)."""
+    """Describe how many clusters were found by an aspect (what scenarios are compared by)."""
     count, noise = analysis.clustering.n_clusters, int((analysis.labels < 0).sum())
     if count < 2:
         return describe_informativeness(analysis)
@@ -141,7 +142,7 @@ def caption_sensitivity(sensitivity: Sensitivity, objective: str) -> str:
 
 
 def caption_examples(n_not_drawn: int) -> str:
-    """Return the caption of the figure with one scenario per cluster; `n_not_drawn` clusters are left out."""
+    """Return the caption of the figure with one scenario per cluster, without `n_not_drawn` clusters."""
     return (
         "One scenario of each kind: the one with the smallest sum of distances to the others of its kind. Seen from"
         " above, with times in s along the trajectories and the boxes where they are closest; and speeds over time."
@@ -150,7 +151,7 @@ def caption_examples(n_not_drawn: int) -> str:
 
 
 def caption_kernel_space(analysis: Analysis) -> str:
-    """Return the caption of the figure of kernel space, in which clusters were found."""
+    """Return the caption of the figure of the kernel space in which the clusters of an analysis were found."""
     return (
         "Similar scenarios are near each other; those of a cluster have one colour and one symbol."
         f" {describe_clustering_method(analysis)}"

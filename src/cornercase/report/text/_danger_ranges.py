@@ -1,4 +1,4 @@
-"""Sentences on the ranges of parameters in which all collisions, or else all critical scenarios, lie."""
+"""Sentences on parameter ranges that contain all collisions, or all critical scenarios if nothing collides."""
 
 from __future__ import annotations
 
@@ -13,14 +13,17 @@ from cornercase.scenario import Parameter
 
 # Fewer scenarios say nothing of a range.
 _MIN_SCENARIOS: Final = 3
-# Largest part of the explored range that is clearly narrower than it.
+# A range counts as clearly narrower up to this share of the explored range.
 _MAX_WIDTH: Final = 0.8
-# Probability with which as many scenarios lie in so narrow a range by chance, over all parameters.
+# Largest probability, over all parameters, that the scenarios lie in a range this narrow by chance.
 _CHANCE: Final = 0.01
 
 
 def describe_danger_ranges(data: ReportData) -> Iterator[str]:
-    """Yield for each parameter in which narrower range all collisions lie; the critical scenarios if none collides."""
+    """Yield a sentence for each parameter that has all collisions in a range clearly narrower than the explored one.
+
+    If nothing collides, the sentences are about the critical scenarios.
+    """
     dangerous = data.collides
     what = "collisions"
     if not dangerous.any():
@@ -49,7 +52,7 @@ def _is_clearly_narrower(column: FloatArray, dangerous: BoolArray, parameter: Pa
 
 
 def _format_where(low: float, high: float, parameter: Parameter) -> str:
-    """Say the range in words, rounded outwards; a bound near that of the explored range is left out."""
+    """Format a range in words, rounded outwards; a bound near the end of the explored range is left out."""
     width = parameter.high - parameter.low
     step = 10.0 ** (math.floor(math.log10(width)) - 2)
     lower, upper = (f"{bound:.6g}" for bound in (math.floor(low / step) * step, math.ceil(high / step) * step))

@@ -1,4 +1,4 @@
-"""Phrases shared by the report and its figures."""
+"""Phrases and number formats shared by the report page, its figures and ``cornercase show``."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ _MAX_LISTED: Final = 12
 _SMALLEST_PERCENT: Final = 0.01
 _METHOD_NAMES: Final = {"dbscan": "DBSCAN", "hdbscan": "HDBSCAN"}
 
-# Adjusted mutual information from which clusters say a little, something, and much about what happened.
+# Adjusted mutual information from which clusters say a little, and much, about how scenarios end.
 _LITTLE_INFORMATION, _MUCH_INFORMATION = 0.1, 0.8
 
 
 def format_cluster_name(cluster: int, by: str = "cluster") -> str:
-    """Return ``"cluster 0"``, or ``"noise"`` for -1; with an aspect, its name and number."""
+    """Return the name of a cluster number: ``"cluster 0"``, with an aspect ``"bearing 0"``, or ``"noise"`` for -1."""
     return NOISE_NAME if cluster < 0 else f"{by} {cluster}"
 
 
@@ -46,7 +46,7 @@ def describe_warm_start(meta: StudyMeta) -> str:
 
 
 def describe_unmeasured_collisions(summary: Summary, *, counts: bool = True) -> str:
-    """Describe collisions of the ego with entities that it is not measured against; empty without such collisions."""
+    """Describe collisions of the ego with entities against which no metric measures it; empty if there are none."""
     touched = [f"{name} in {count}" if counts else name for name, count in summary.unmeasured_collisions.items()]
     if not touched:
         return ""
@@ -59,7 +59,10 @@ def describe_unmeasured_collisions(summary: Summary, *, counts: bool = True) -> 
 
 
 def describe_dangers(n_selected: int, n_critical: int | None, n_colliding: int, ego: str) -> str:
-    """Say of selected scenarios how many are critical, and in how many the ego collides; None without a threshold."""
+    """Describe how many selected scenarios are critical, and in how many the ego collides.
+
+    `n_critical` is None if there is no threshold.
+    """
     if n_selected == 1:
         collides = f"{ego} collides in it" if n_colliding else f"{ego} does not collide in it"
         is_critical = "" if n_critical is None else f"It is {'' if n_critical else 'not '}critical, and "
@@ -73,7 +76,10 @@ def describe_dangers(n_selected: int, n_critical: int | None, n_colliding: int, 
 
 
 def describe_aspect(aspect: str) -> str:
-    """Describe what an aspect compares: ``"the direction in which the ego sees the other"``; empty if unknown."""
+    """Describe by what an aspect compares scenarios; empty if the aspect is unknown.
+
+    An example is ``"the direction in which the ego sees the other"``.
+    """
     if aspect not in ASPECTS:
         return f"the course of {aspect}" if aspect.partition(":")[0] in METRICS else ""
     summary = docstring_summary(ASPECTS.create(aspect)).partition(":")[0].rstrip(".")
@@ -81,7 +87,7 @@ def describe_aspect(aspect: str) -> str:
 
 
 def describe_informativeness(analysis: Analysis) -> str:
-    """Describe how much the clusters say about outcomes; empty for studies of early versions."""
+    """Describe how much the clusters say about how scenarios end; empty for studies of early versions."""
     by, clustering = analysis.by, analysis.clustering
     if clustering.n_clusters < 2:
         noise = int((clustering.labels < 0).sum())
@@ -114,7 +120,7 @@ def format_assign_command(analysis: Analysis) -> str:
 
 
 def format_explore_settings_command(analysis: Analysis) -> str:
-    """Return the command that shows what settings of the clustering do."""
+    """Return the command that writes a page on how the settings of the clustering change its result."""
     return f"cornercase analyze STUDY.db --by {analysis.by} --explore-settings settings.html"
 
 
@@ -131,7 +137,7 @@ def format_criterion_with_signs(criterion: Criterion, objective: str) -> str:
 
 
 def describe_threshold_override(summary: Summary) -> str:
-    """Describe a threshold that replaces that of the study; empty if none does."""
+    """Describe that the threshold in use is not the study's own; empty if both are the same."""
     critical, own = summary.estimates.critical, summary.meta.critical
     if critical is None or critical.threshold == own:
         return ""
@@ -164,7 +170,7 @@ def join_with_and(words: list[str]) -> str:
 
 
 def describe_little_influence(sensitivity: Sensitivity, on: str = "") -> str:
-    """Say which parameters have little influence ``on`` something; empty if none has."""
+    """Return a sentence that names the parameters of little influence and ends with `on`; empty if there are none."""
     # Tied parameters have one joint name.
     names = [name for joint in sensitivity.uninfluential_parameters for name in joint.split(", ")]
     if not names:
@@ -221,7 +227,7 @@ def format_value(value: Value, digits: int = 6) -> str:
 
 
 def append_unit(number: str, unit: str) -> str:
-    """Append a unit to a number: ``"0.2 s"``. The units empty and ``"1"`` are left out."""
+    """Append a unit to a number: ``"0.2 s"``. An empty unit and ``"1"`` are left out."""
     return number if unit in ("", "1") else f"{number} {unit}"
 
 
@@ -239,7 +245,7 @@ def format_percent(share: float) -> str:
 
 
 def format_scenario_ids(ids: Sequence[int]) -> str:
-    """Format the first twelve of these scenario ids; an ellipsis stands for the rest."""
+    """Format the first twelve scenario ids of a list; an ellipsis stands for the rest."""
     return ", ".join(map(str, ids[:_MAX_LISTED])) + (" …" if len(ids) > _MAX_LISTED else "")
 
 

@@ -1,4 +1,4 @@
-"""Sentences on what the ego did about its collisions, and what else would have avoided them."""
+"""Sentences on how the ego reacted before its collisions, and on other reactions that would have avoided them."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Final
 
 from cornercase.report._collision_replies import ReplyCounts
 
-# Times in s up to which a median is told as zero: recordings have time steps of about this size.
+# A median reaction up to this time in s is described as zero; time steps of recordings are about as long.
 _SAME_TIME: Final = 0.05
 
 

@@ -1,4 +1,4 @@
-"""The summary of a study as plain values; keys are identifiers or words."""
+"""Conversion of the summary of a study to nested dictionaries of plain values, as ``cornercase show`` prints it."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ NAME_LEVELS_BELOW_KEY: Final = {
     "mutual_information_with": 1, "outcomes": 1, "median": 1, "front": 2, "agreement": 1, "references": 1,
     "coverage": 1, "drivers": 1, "failures": 1, "bands": 1, "avoided_by_braking_earlier": 1,
 }  # fmt: skip
-"""Number of levels below these keys whose keys are names of metrics, parameters or aspects."""
-# Words of the keys in which more than the underscores differ.
+"""Number of dictionary levels below each of these keys that have names (of metrics, parameters, …) as their keys."""
+# Words for keys that differ from the key in more than the underscores.
 _WORDS_BY_KEY: Final = {
     "largest_one_of_k_medoids": "largest one of k-medoids",
     "mean_of_k_medoids": "mean of k-medoids",
@@ -139,7 +139,7 @@ def summary_to_dict(summary: Summary) -> dict[str, Any]:
 
 
 def estimate_to_dict(stored: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a stored estimate with identifiers as keys, instead of the words that are stored."""
+    """Return a stored estimate with its keys as identifiers: ``interval_95`` instead of ``95 % interval``."""
     return {
         _KEYS_BY_WORDS.get(words, words.replace(" ", "_")): estimate_to_dict(value)
         if isinstance(value, dict)
@@ -149,7 +149,10 @@ def estimate_to_dict(stored: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def replace_keys_by_words(values: Mapping[str, Any], name_levels: int = 0) -> dict[str, Any]:
-    """Replace identifiers by words; keys in the first `name_levels` levels are names and stay."""
+    """Replace keys that are identifiers by words: ``most_critical`` by ``most critical``.
+
+    Keys in the first `name_levels` levels are names, for example of metrics, and stay.
+    """
     renamed = {}
     for key, value in values.items():
         below = name_levels - 1 if name_levels else NAME_LEVELS_BELOW_KEY.get(key, 0)
@@ -350,7 +353,7 @@ def _shape_to_dict(shape: ClusterShape) -> dict[str, Any]:
 def _fields_to_dict(
     values: Coverage | CriticalCoverage | HeldOut | HeldOutCritical, key_by_field: Mapping[str, str]
 ) -> dict[str, Any]:
-    """Return the fields of `values` that are not None, with keys from `key_by_field`."""
+    """Return the fields of `values` that are neither None nor NaN, with keys from `key_by_field`."""
     plain: dict[str, Any] = {}
     for key, label in key_by_field.items():
         value = getattr(values, key)

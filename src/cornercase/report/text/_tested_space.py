@@ -1,4 +1,4 @@
-"""Sentences on which ranges were searched, and what was held fixed."""
+"""Sentences on the parameter ranges that were searched, and on what was held fixed."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from cornercase.study._import_recordings import IMPORTED_SIMULATOR
 
 
 def describe_tested_space(data: ReportData) -> Iterator[str]:
-    """Yield the ranges that were searched, and what was held fixed, so that it says nothing beyond."""
+    """Yield sentences on the ranges that were searched and on what was held fixed; results are valid for these only."""
     meta = data.summary.meta
     searched, single = (
         ", ".join(

@@ -1,4 +1,4 @@
-"""Sentences on what to do next with what was found: what to give to others, and what to drive on a track."""
+"""Sentences on what to do next: what to hand to other people, and which scenarios to drive on a proving ground."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from cornercase.scenario import Parameter, Value
 from cornercase.study._import_recordings import IMPORTED_SIMULATOR
 from cornercase.suite._verdict import worst_state
 
-# Scenarios to be driven on a proving ground, which costs a day.
+# Most scenarios to be driven on a proving ground, where driving them costs a day.
 _MAX_ON_TRACK: Final = 5
 _OWN_FAULT: Final = ("ego", "both")
 
 
 def describe_next_steps(data: ReportData) -> tuple[str, tuple[str, ...]]:
-    """Say what to give to the developer, to whoever decides, and to the proving ground."""
+    """Describe, as a text and list items, what to give to developer, decision makers and proving ground."""
     scenario, what = _worst_scenario(data)
     pairs = find_collision_boundary(data, _MAX_ON_TRACK)
     text = f"Give scenario {scenario}, {what}, to the developer"
@@ -39,7 +39,7 @@ def describe_next_steps(data: ReportData) -> tuple[str, tuple[str, ...]]:
 
 
 def describe_next_steps_after_suite(data: ReportData) -> tuple[str, tuple[str, ...]]:
-    """Say what to do after a run of a suite: what failed goes to the developer, and may be driven on the track."""
+    """Describe, as a text and list items, what to do after a run of a suite with its failed and critical scenarios."""
     failed = [scenario for scenario, verdicts in data.verdicts.items() if worst_state(verdicts) == "failed"]
     narrow = [
         row.id
@@ -69,7 +69,7 @@ def describe_next_steps_after_suite(data: ReportData) -> tuple[str, tuple[str, .
 
 
 def describe_repeatability(data: ReportData) -> str:
-    """Say how sure a run of a suite is: whether it would be the same again."""
+    """Describe whether a second run of a suite would give the same results."""
     meta = data.summary.meta
     if meta.nondeterminism_text:
         return f"Runs differ: {meta.nondeterminism_text}. A verdict near its limit may be another the next time."
@@ -81,10 +81,10 @@ def describe_repeatability(data: ReportData) -> str:
 
 
 def _worst_scenario(data: ReportData) -> tuple[int, str]:
-    """Return the id of the scenario to look at first, and what it is."""
+    """Return the id of the worst scenario, and why it is the worst: ``"the hardest collision"``."""
     hardest = data.hardest_first
     if hardest:
-        # What the ego is not at fault for, its developer may not have to mend.
+        # The developer of the ego may not have to fix collisions for which the ego is not at fault.
         own = [(scenario, impact) for scenario, impact in hardest if impact.fault and impact.fault.who in _OWN_FAULT]
         if own and own[0] != hardest[0]:
             return own[0][0], f"the hardest collision for which {data.summary.meta.ego} is at fault"
@@ -153,7 +153,7 @@ def _format(parameter: Parameter, values: Mapping[str, Value]) -> str:
 def _describe_steps(
     parameters: Sequence[Parameter], start: Mapping[str, Value], end: Mapping[str, Value]
 ) -> Iterator[str]:
-    """Yield how far each parameter is from its value beyond the boundary, in its unit."""
+    """Yield the change of each parameter from `start` to `end` in its unit; equal parameters are left out."""
     for parameter in parameters:
         old, new = (parameter.extract_value(values) for values in (start, end))
         if old == new:
