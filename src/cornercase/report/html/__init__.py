@@ -1,1 +1,1 @@
-"""Detail sections of the report, one module for each stage of the work."""
+"""HTML of the report page: its detail sections, tables, links and templates."""

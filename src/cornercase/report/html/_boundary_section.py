@@ -1,4 +1,4 @@
-"""Section with pairs of scenarios that are near each other and end differently."""
+"""Section with pairs of scenarios that are near each other in the parameter space but end differently."""
 
 from __future__ import annotations
 
@@ -16,7 +16,10 @@ from cornercase.report.text._phrases import append_unit, format_value
 
 
 def render_boundary_pairs(data: ReportData) -> Iterator[Section]:
-    """Yield the section on the boundary; nothing if all scenarios end alike, or came from somebody else."""
+    """Yield the section with pairs of neighbouring scenarios that end differently; nothing if there are none.
+
+    The section is left out for suites and for estimates of probabilities, too.
+    """
     if not data.summary.represents_space:
         return
     outcomes = [
@@ -44,7 +47,7 @@ def render_boundary_pairs(data: ReportData) -> Iterator[Section]:
 
 
 def _describe_step(data: ReportData, first: int, second: int) -> str:
-    """Say how each parameter changes from one scenario to the other."""
+    """Describe how each parameter changes from the first scenario to the second."""
     steps = []
     for parameter in data.parameters:
         old, new = (parameter.extract_value(data.rows[k].values) for k in (first, second))
@@ -55,7 +58,7 @@ def _describe_step(data: ReportData, first: int, second: int) -> str:
 
 
 def _parameter_weights(data: ReportData) -> FloatArray | None:
-    """Return the share of each parameter in the score's variance, shape (d,); None if it is unknown."""
+    """Return the share of each of d parameters in the score's variance, shape (d,); None if the shares are unknown."""
     sensitivity = data.summary.estimates.sensitivity
     if sensitivity is None or not sensitivity.is_meaningful:
         return None

@@ -1,4 +1,4 @@
-"""Sections on the clusters by each aspect, and on how far clusterings agree."""
+"""Sections on the clusters by each aspect (what scenarios are compared by), and on how far clusterings agree."""
 
 from __future__ import annotations
 
@@ -23,17 +23,18 @@ from cornercase.report.text._phrases import (
 
 
 def render_clusterings(data: ReportData) -> Iterator[Section]:
-    """Yield one section on the clusters of each aspect."""
+    """Yield one section for each aspect (what scenarios are compared by), on the clusters found by it."""
     for name, analysis in data.summary.analyses.items():
         title = f"the course of {name}" if name in data.summary.meta.metrics else name
         yield make_section(f"kinds-{name}", f"Kinds of scenario, by {title}", _render_clustering(data, analysis))
 
 
 def render_agreement(data: ReportData) -> Iterator[Section]:
-    """Yield sections on how much the clusterings say about outcomes, and how far they agree with each other."""
-    tells = {by: analysis.fact_agreement for by, analysis in data.summary.analyses.items() if analysis.fact_agreement}
-    if tells:
-        yield make_section("facts", "Do the clusterings say what happened?", _render_mutual_information(tells))
+    """Yield sections on how much the clusterings say about outcomes, and how far clusterings agree with each other."""
+    analyses = data.summary.analyses
+    information = {by: analysis.fact_agreement for by, analysis in analyses.items() if analysis.fact_agreement}
+    if information:
+        yield make_section("facts", "Do the clusterings say what happened?", _render_mutual_information(information))
     if data.summary.agreements:
         yield make_section("agreement", "Do the clusterings agree?", _render_agreement_table(data.summary.agreements))
 

@@ -20,7 +20,7 @@ from cornercase.report.text._phrases import (
 
 
 def render_estimates(data: ReportData) -> Iterator[Section]:
-    """Yield the sections on estimates for the whole parameter space."""
+    """Yield the sections on the Pareto front, the critical set and sensitivities, as far as they are known."""
     estimates, searched = data.summary.estimates, data.summary.objective
     if estimates.pareto_front is not None:
         yield make_section("front", "The Pareto front", _render_front(data, estimates.pareto_front))

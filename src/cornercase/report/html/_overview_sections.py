@@ -1,4 +1,4 @@
-"""Sections on scores, failures and how the study was made."""
+"""Sections on the scores, on failures, and on how the study was made."""
 
 from __future__ import annotations
 
@@ -114,12 +114,12 @@ def _format_seconds(seconds: float) -> str:
 
 
 def format_setting(value: Any) -> str:
-    """Format the value of a setting for readers who do not know Python."""
+    """Format the value of a setting without Python syntax; an absolute path is cut to its file name."""
     if isinstance(value, dict):
         return ", ".join(f"{name}: {format_setting(item)}" for name, item in value.items())
     if isinstance(value, list | tuple):
         return ", ".join(map(str, value))
-    # Only the file name, as folders of the author are private.
+    # Only the file name, since folders of the author are private.
     path = next((kind(str(value)) for kind in (PurePosixPath, PureWindowsPath) if kind(str(value)).is_absolute()), None)
     return str(value) if path is None else path.name
 

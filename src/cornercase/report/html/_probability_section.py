@@ -1,4 +1,4 @@
-"""Section on an estimate of rare events: every number behind it, and the distributions that it holds for."""
+"""Section on the estimated probabilities of rare events, and the parameter distributions that they hold for."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ _EVENTS: Final = (
     "critical given an encounter",
     "collision given an encounter",
 )
-# Edges or values of a distribution that are listed.
+# Most weights of a distribution that are listed.
 _MAX_LISTED: Final = 12
 
 
 def render_probability(data: ReportData) -> Iterator[Section]:
-    """Yield the section on the estimated probabilities, and how sure they are; nothing if the study has no estimate."""
+    """Yield the section on estimated probabilities and their certainty; nothing if the study has no estimate."""
     estimate = data.summary.probability
     if estimate is None:
         return
@@ -59,7 +59,7 @@ def render_probability(data: ReportData) -> Iterator[Section]:
 
 
 def _describe_certainty(estimate: Mapping[str, Any]) -> Iterator[str]:
-    """Yield how sure the numbers are, and which scenarios they are of."""
+    """Yield sentences on the certainty of an estimate, its warnings, and the scenarios behind it."""
     events = [estimate["critical"], estimate["collision"]]
     if all(event.get("relative standard error") == 0.0 for event in events):
         yield "How sure: these are the probabilities themselves, as all scenarios of the space were run."
@@ -109,7 +109,7 @@ def _describe_event(name: str, event: Mapping[str, Any]) -> list[str]:
 
 
 def describe_distribution(parameter: Parameter) -> str:
-    """Describe the distribution of a parameter, as ``"normal, mean 10, standard deviation 2"``."""
+    """Describe the distribution of a parameter, as ``"Poisson, mean 3"``."""
     distribution = parameter.distribution
     if distribution is None:
         return "uniform, as the file names none"

@@ -8,7 +8,7 @@ from typing import Final
 
 from markupsafe import Markup
 
-# knowledge.js has the same for a live page.
+# knowledge.js has the same expression for a live page.
 _NAMED_SCENARIO: Final = re.compile(r"\b[Ss]cenario (\d+)\b")
 
 

@@ -1,4 +1,4 @@
-"""A small drawing of the scenarios over two parameters, as SVG for paper."""
+"""Small drawing of all scenarios over two parameters, as SVG for print."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from cornercase.scenario import Parameter
 
 _WIDTH, _HEIGHT = 330, 250
 _LEFT, _RIGHT, _TOP, _BOTTOM = 48, 10, 8, 40
-# Points of a large study, drawn evenly picked; critical and kept ones always.
+# Of more scenarios, about this many are drawn, picked evenly; critical and kept scenarios are always drawn.
 _MAX_POINTS: Final = 2000
 _MAX_LABEL: Final = 40
 
@@ -31,7 +31,8 @@ def draw_space_sketch(
 ) -> Markup:
     """Draw scenarios over the parameters at the first two `indices`: grey dots, red crosses if critical, rings if kept.
 
-    `values` has shape (n, d), with indices for choices; `critical` and `selected` have shape (n,).
+    `values` has shape (n, d): d parameters of n scenarios, choices as indices. `critical` and `selected` have shape
+    (n,).
     """
     axes = [parameters[k] for k in indices[:2]]
     across = _positions(values[:, indices[0]], axes[0], _LEFT, _WIDTH - _RIGHT)
@@ -87,7 +88,7 @@ def _frame(axes: Sequence[Parameter]) -> Iterator[str]:
 
 
 def _ticks(parameter: Parameter) -> list[tuple[float, str]]:
-    """Return the values of an axis that have a number, and their texts, escaped."""
+    """Return the tick values of an axis with their labels; the labels are escaped."""
     if parameter.choices:
         # Long names would cover each other.
         names = [escape(shorten(escape_control_characters(name), 7)) for name in parameter.choices]

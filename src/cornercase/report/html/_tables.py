@@ -1,4 +1,4 @@
-"""Sections and tables of the report, as HTML."""
+"""Sections and tables of the report page, as HTML."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _ARCHETYPE_METHODS: Final = {
 
 @dataclass(frozen=True)
 class Section:
-    """A section of the page's details; a click on the title opens it."""
+    """A section of the details on the report page; a click on its title opens the section."""
 
     name: str  # for addresses and tests
     title: str  # plain text
@@ -34,7 +34,7 @@ class Section:
 
 
 def make_section(name: str, title: str, html_lines: Iterable[str]) -> Section:
-    """Join lines of HTML into a section; the lines must be escaped."""
+    """Join lines of HTML into a section; texts in the lines must be escaped."""
     return Section(name, title, Markup("\n".join(html_lines)))
 
 
@@ -62,7 +62,7 @@ def render_table(column_names: Sequence[str], rows: Sequence[Sequence[str]], lef
 
 
 def render_profiles(profiles: Sequence[Profile]) -> str:
-    """Render how the scenarios of each cluster end, and where in the space they lie."""
+    """Render a table of how the scenarios of each cluster end, and in which parameter ranges they lie."""
 
     def format_share(value: float) -> str:
         return _NO_VALUE if math.isnan(value) else f"{value:.0%}"
@@ -90,7 +90,7 @@ def render_profiles(profiles: Sequence[Profile]) -> str:
 
 
 def render_cluster_names(profiles: Sequence[Profile]) -> str:
-    """Render the name of each cluster, which is a condition, and how many scenarios fulfil it."""
+    """Render a table of cluster names; each name is a condition, shown with the shares of scenarios that fulfil it."""
     return render_table(
         ["cluster", "name", "scenarios", "collide", "true of", "of all others", "example"],
         [
@@ -106,7 +106,7 @@ def render_cluster_names(profiles: Sequence[Profile]) -> str:
 
 
 def render_mutual_information(information_by_aspect: Mapping[str, Mapping[str, float]]) -> str:
-    """Render how much each clustering says about facts, such as the outcome: adjusted mutual information."""
+    """Render a table of the adjusted mutual information between each clustering and facts such as the outcome."""
     facts = list(dict.fromkeys(fact for information in information_by_aspect.values() for fact in information))
 
     def format_number(value: float) -> str:
@@ -121,7 +121,7 @@ def render_mutual_information(information_by_aspect: Mapping[str, Mapping[str, f
 
 
 def render_settings(clustering: Clustering) -> str:
-    """Render the best setting for each number of clusters; empty if only one number was found."""
+    """Render a table of the best clustering setting for each number of clusters; empty if only one number was found."""
 
     def format_number(value: float) -> str:
         # A single cluster has no separation from others.
@@ -164,7 +164,7 @@ def render_settings(clustering: Clustering) -> str:
 
 
 def render_shapes(shapes: Sequence[ClusterShape]) -> str:
-    """Render the convexity of each cluster, and the method that found its archetypes."""
+    """Render a table of the convexity of each cluster, and of the method that found its archetypes."""
     return render_table(
         ["cluster", "convexity of the parameters", "in kernel space", "archetypes"],
         [
@@ -181,7 +181,7 @@ def render_shapes(shapes: Sequence[ClusterShape]) -> str:
 
 
 def render_coverage(coverage: Mapping[str, Coverage]) -> str:
-    """Render the distances from all scenarios to the reduced set, by aspect."""
+    """Render a table of DTW distances from all scenarios to the reduced set, by aspect (what is compared)."""
     return render_table(
         ["compared by", "largest distance", "of all", "mean distance", "of all"],
         [
@@ -198,9 +198,9 @@ def render_coverage(coverage: Mapping[str, Coverage]) -> str:
 
 
 def render_distances_of_held_out_scenarios(coverage: Mapping[str, Coverage]) -> str:
-    """Render distances from held-out scenarios to the reduced set, to random sets and to k-medoids.
+    """Render a table of distances from held-out scenarios to the reduced set, to random sets and to k-medoids.
 
-    Held-out scenarios took no part in the selection. Empty if they were not measured.
+    Held-out scenarios took no part in the selection. The table is empty if these distances were not measured.
     """
     rows = [
         [
@@ -219,7 +219,7 @@ def render_distances_of_held_out_scenarios(coverage: Mapping[str, Coverage]) -> 
 
 
 def render_critical_coverage(critical: Mapping[str, CriticalCoverage]) -> str:
-    """Render how well the reduced set covers the critical scenarios, by aspect."""
+    """Render a table of how well the reduced set covers the critical scenarios, by aspect (what is compared)."""
 
     def format_share(value: float | None) -> str:
         return _NO_VALUE if value is None else f"{value:.0%}"

@@ -1,4 +1,4 @@
-"""Render page templates with their styles and scripts inlined, and write the pages."""
+"""Page templates, rendered with their styles and scripts inlined, and written to files."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ _FILE_ENDINGS: Final = (".html", ".htm")
 
 
 def render_template(name: str, styles: Iterable[str], scripts: Iterable[str], **parts: Any) -> str:
-    """Render the page template `name` with these style and script files.
+    """Render the page template `name` with the contents of these style and script files.
 
-    `parts` are escaped unless they are `Markup`.
+    `parts` are the values of the template; they are escaped unless they are `Markup`.
     """
     page: str = (
         _template_environment()
@@ -38,13 +38,13 @@ def render_template(name: str, styles: Iterable[str], scripts: Iterable[str], **
 
 
 def check_page_path(path: Path, what: str) -> None:
-    """Raise `InputError` if a page would be written to a file with another ending."""
+    """Raise `InputError` if `path` does not end with ``.html`` or ``.htm``; `what` is the kind of page."""
     if path.suffix.lower() not in _FILE_ENDINGS:
-        raise InputError(f"`path` {path}: the {what} is a page; name a file that ends with .html.")
+        raise InputError(f"`path` {path}: the {what} is an HTML page; name a file that ends with .html.")
 
 
 def write_page(path: Path, page: str) -> None:
-    """Write a rendered page; what UTF-8 does not have is escaped."""
+    """Write a rendered page in UTF-8; characters that UTF-8 cannot encode are escaped."""
     with atomic_write(path) as temporary:
         temporary.write_text(page, encoding="utf-8", errors="backslashreplace", newline="\n")
 
@@ -63,6 +63,6 @@ def _template_environment() -> Environment:
 
 
 def _json_for_script(value: Any) -> Markup:
-    # Nothing is escaped inside a script, so the text must not contain anything that ends it.
+    # Nothing is escaped inside a script, so the text must not contain anything that ends the script.
     text = json.dumps(value, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
     return Markup(text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029"))

@@ -1,4 +1,4 @@
-"""Section with the verdicts of a suite."""
+"""Section with the verdicts (passed, failed or inconclusive) on the scenarios of a suite."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from cornercase.report.html._tables import Section, make_section
 from cornercase.report.text._phrases import append_unit, format_criterion_with_signs
 from cornercase.suite import Requirement, Verdict
 
-# What needs a look comes first.
+# Verdicts that need attention come first.
 _ORDER: Final = ("failed", "inconclusive", "passed")
 _HEAD: Final = (
     "verdict",
@@ -35,7 +35,11 @@ _MAX_LISTED: Final = 6
 
 @dataclass(frozen=True)
 class _Row:
-    """A verdict with what is shown of its scenario; `margin` is negative if the requirement is missed."""
+    """Row of the table of verdicts, with what is shown of the scenario.
+
+    `margin`, in `unit`, is the distance from the limit of the requirement, negative if the requirement is missed.
+    `gap`, in m, is the smallest gap without a contact. `impact_speed`, in m/s, is set for failures without a margin.
+    """
 
     scenario: int
     verdict: Verdict
@@ -50,20 +54,20 @@ class _Row:
 
     @property
     def severity(self) -> tuple[int, float, float, int]:
-        """Worst first: state, then collisions by speed, then by margin and gap."""
+        """Sort key, the worst first: state of the verdict, impact speed, margin, and scenario id."""
         hit = -self.impact_speed if self.impact_speed is not None else 0.0
         return _ORDER.index(self.verdict.state), hit, math.inf if self.margin is None else self.margin, self.scenario
 
     @property
     def margin_text(self) -> str:
-        """By how much the requirement is missed or fulfilled; empty for collisions."""
+        """The margin of the requirement, as ``"missed by 0.5 s"``; empty if there is no finite margin."""
         if self.margin is None or not math.isfinite(self.margin):
             return ""
         size = append_unit(f"{abs(self.margin):.3g}", self.unit)
         return f"missed by {size}" if self.margin < 0.0 else f"met by {size}"
 
     def cells(self) -> tuple[str, ...]:
-        """Return the cells of the table, in the order of its head."""
+        """Return the cells of this row, in the order of the table head."""
         return (
             self.verdict.state, self.file, self.verdict.reason, self.verdict.requirement, self.margin_text,
             self.nearest, "yes" if self.is_critical else "", self.kind, str(self.scenario),
@@ -71,7 +75,7 @@ class _Row:
 
 
 def render_verdicts(data: ReportData) -> Iterator[Section]:
-    """Yield the section with all verdicts, the worst first, and what to fix; nothing without requirements."""
+    """Yield the section with all verdicts, the worst first, and what to fix; nothing if there are no verdicts."""
     if not data.verdicts:
         return
     rows = sorted(_build_rows(data), key=lambda row: (row.severity[:3], row.gap, row.scenario))
@@ -104,7 +108,7 @@ def _build_rows(data: ReportData) -> Iterator[_Row]:
         for verdict in verdicts or (Verdict("inconclusive", "", "no requirement applies"),):
             margin = data.margins.get(scenario, {}).get(verdict.requirement)
             unit = Requirement.parse(verdict.requirement).expression.unit if margin is not None else ""
-            # A missed margin says by itself how bad it is.
+            # If there is a margin, it says how bad a failure is; else the impact speed does.
             hits = verdict.state == "failed" and margin is None and impact is not None
             yield _Row(
                 scenario, verdict, file, kind, margin, unit, nearest, gap, scenario in critical,
@@ -113,7 +117,7 @@ def _build_rows(data: ReportData) -> Iterator[_Row]:
 
 
 def _render_fixes(data: ReportData, rows: Sequence[_Row]) -> Iterator[str]:
-    """Yield what failed, the worst first, and the commands to see it and to run it again."""
+    """Yield the failed scenarios, the worst first, and the commands to replay them and to run the suite again."""
     failed = [row for row in rows if row.verdict.state == "failed"]
     scenarios = list(dict.fromkeys(row.scenario for row in failed))
     if not scenarios:
@@ -177,7 +181,7 @@ def _render_narrow(data: ReportData, rows: Sequence[_Row]) -> Iterator[str]:
 
 
 def _render_cell(texts: Sequence[str], column: int) -> str:
-    """Render a cell; the file, or the scenario where files have no names, leads to the replay."""
+    """Render a cell of the table; the file name, or the scenario id if there is no name, links to the replay."""
     text = escape(escape_control_characters(texts[column]))
     if _HEAD[column] == ("file" if texts[1] else "scenario"):
         text = f"<a href='#id={texts[-1]}'>{text}</a>"
