@@ -1,4 +1,4 @@
-"""All figures of a study, one after the other."""
+"""All figures of a study with their captions, drawn one after the other."""
 
 from __future__ import annotations
 

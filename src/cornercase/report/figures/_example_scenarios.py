@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 MAX_EXAMPLES: Final = 6
-"""Scenarios that fit into a figure."""
+"""Most scenarios that fit into a figure."""
 
 # Columns of panels by the number of scenarios.
 _COLUMNS_BY_COUNT: Final = (1, 2, 3, 2, 3, 3)
@@ -62,7 +62,7 @@ def _index_of_closest_approach(recording: Recording, ego: str, other: str) -> in
 
 
 def _line_style(name: str, ego: str, other: str) -> tuple[str, str, float]:
-    """Return colour, line style and width of an entity."""
+    """Return colour, line style and line width for an entity."""
     if name == ego:
         return COLOURS[0], "-", 2.0
     return (COLOURS[1], "--", 2.0) if name == other else (GREY, ":", 1.4)
@@ -114,7 +114,7 @@ def _draw_paths(axis: Axes, recording: Recording, ego: str, other: str, closest_
 
 
 def _indices_of_full_seconds(time: FloatArray, is_shown: BoolArray) -> IntArray:
-    """Return the indices of the instants nearest to full seconds, among those that are shown."""
+    """Return the indices of the instants nearest to the full seconds within the time that is shown."""
     seconds = np.arange(np.ceil(time[is_shown][0]), time[is_shown][-1] + 1e-9, _MARK_INTERVAL)
     marked: IntArray = np.unique(np.abs(time[:, None] - seconds).argmin(axis=0))
     return marked
@@ -131,7 +131,7 @@ def _draw_box(axis: Axes, recording: Recording, entity: int, instant: int, colou
 def _label_times(
     axis: Axes, points: FloatArray, times: FloatArray, colour: str, is_above: bool, min_distance: float
 ) -> None:
-    """Write times beside marks; a mark closer than `min_distance` m to the last labelled mark gets no label."""
+    """Write times beside marks; marks closer than `min_distance`, in m, to the last labelled mark get no label."""
     last = np.full(2, np.nan)
     for point, time in zip(points, times, strict=True):
         if np.isfinite(point).all() and not np.hypot(*(point - last)) < min_distance:

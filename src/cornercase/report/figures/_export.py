@@ -1,4 +1,4 @@
-"""Export the figures of a study as PNG and SVG files with captions."""
+"""Export of the figures of a study as PNG and SVG files with captions."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 # Longest line of a text in a figure (characters) and most lines, so that long texts do not blow up the figure.
 _MAX_LINE_LENGTH, _MAX_LINES = 60, 10
-# Without metadata that would differ between runs.
+# Metadata that would differ between runs are left out.
 _FORMATS: Final[dict[str, dict[str, Any]]] = {
     "png": {"dpi": 110, "metadata": {"Software": None}},
     "svg": {"metadata": {"Date": None, "Creator": None}},
@@ -48,7 +48,7 @@ def write_figures(drawings: Iterable[CaptionedFigure], folder: Path) -> None:
 
 
 def _make_unique_name(name: str, taken: set[str]) -> str:
-    """Return `name`, with a number if `taken` holds it, and add it there; metrics may have the same portable name."""
+    """Return `name`, with a number appended if the name is already in `taken`, and add the result to `taken`."""
     candidates = (name if n == 1 else f"{name}-{n}" for n in count(1))
     free = next(candidate for candidate in candidates if candidate.lower() not in taken)
     taken.add(free.lower())

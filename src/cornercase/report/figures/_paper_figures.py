@@ -1,4 +1,4 @@
-"""The figures of the paper, drawn from a study: B. Schütt, S. Otten, E. Sax (2023), figures 5 and 6."""
+"""Figures 5 and 6 of the paper by B. Schütt, S. Otten and E. Sax (2023), drawn from a study."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _COLOURS_TEXT: Final = (
 
 @dataclass(frozen=True)
 class PaperScenario:
-    """What the figure of one of the paper's scenarios shows.
+    """Contents of the paper's figure for one of its two scenarios.
 
     Attributes
     ----------
@@ -78,19 +78,19 @@ PAPER_SCENARIOS: Final[Mapping[str, PaperScenario]] = MappingProxyType(
 def write_paper_figures(study: StudyFile | Path | str, scenario: str, folder: Path | str) -> Path:
     """Draw the figures of the paper's discussion from a study.
 
-    Of scenario 1 it is figure 5: kernel spaces, hulls, clusters and WTTC in the parameter space. Of scenario 2 it is
-    figure 6: clusters in the parameter space and in the kernel spaces. ``criticality`` has the scores of all metrics
-    of the study over the parameter space. The clusters are those stored in the study.
+    Scenario 1 gives figure 5: kernel spaces, hulls, clusters and WTTC in the parameter space. Scenario 2 gives figure
+    6: clusters in the parameter space and in the kernel spaces. A second figure, ``criticality``, shows the scores of
+    all metrics of the study over the parameter space. The clusters are read from the study.
 
     Parameters
     ----------
     study : Study, StudyFile or path
-        Analyzed by the aspects that the figure shows.
+        Study that was analyzed by the aspects that the figure shows.
     scenario : {"scenario-1", "scenario-2"}
-        Which of the paper's figures is drawn. The aspects are the ego's trajectory, and two metrics:
+        Scenario of the paper, which selects the figure. The aspects are the ego's trajectory, and two metrics:
         ``trajectory-distance`` and ``wttc``, or ``distance`` and ``traffic-quality``.
     folder : path
-        Folder for each figure as PNG and SVG, and ``captions.txt``. The same study gives the same bytes.
+        Folder to write: each figure as PNG and SVG, and ``captions.txt``. The same study gives the same bytes.
 
     Returns
     -------
@@ -126,7 +126,11 @@ def write_paper_figures(study: StudyFile | Path | str, scenario: str, folder: Pa
 
 @dataclass(frozen=True, eq=False)
 class _PaperData:
-    """What the figures show of n scenarios: `values` and `points` (of the unit cube), shape (n, d), and `scores`."""
+    """Data for the paper's figures: n scenarios with d parameters, their scores and analyses.
+
+    `values` are parameter values, and `points` the same in the unit cube, both of shape (n, d). `influential` has the
+    indices of parameters, the most influential first. `row_of` maps ids of scenarios to their rows.
+    """
 
     parameters: tuple[Parameter, ...]
     influential: tuple[int, ...]
@@ -138,7 +142,7 @@ class _PaperData:
     analyses: dict[str, Analysis]
 
     def rows(self, analysis: Analysis) -> IntArray:
-        """Rows of the scenarios of an analysis."""
+        """Return the rows of the scenarios of an analysis."""
         return np.array([self.row_of[scenario] for scenario in analysis.ids.tolist()], dtype=np.int64)
 
 
@@ -214,7 +218,7 @@ def _draw_criticality(data: _PaperData, dimensions: int) -> Figure:
 
 def _make_grid(rows: int, columns: int) -> tuple[Figure, Any]:
     figure = Figure(figsize=(4.9 * columns, 4.6 * rows))
-    # Labels of axes in space extend beyond these, which no layout of matplotlib takes into account.
+    # Labels of 3D axes extend beyond the axes, which no layout of matplotlib takes into account.
     grid = figure.add_gridspec(rows, columns, wspace=0.3, hspace=0.3, left=0.05, right=0.97, bottom=0.08, top=0.95)
     return figure, grid
 
@@ -255,7 +259,7 @@ def _draw_clusters(axis: Any, data: _PaperData, analysis: Analysis, parameter_in
 
 def _draw_hulls(axis: Any, data: _PaperData, analysis: Analysis) -> None:
     parameter_indices = data.influential[:3]
-    # As `reduce` finds them, in the unit cube.
+    # Hulls are found in the unit cube, as by `reduce`.
     points, rows = data.points[:, sorted(parameter_indices)], data.rows(analysis)
     examples = {profile.cluster: profile.example for profile in analysis.profiles}
     for label in np.unique(analysis.labels[analysis.labels >= 0]).tolist():
@@ -297,7 +301,7 @@ def _draw_scores(
 
 
 def _coordinates(values: FloatArray, parameter_indices: tuple[int, ...]) -> FloatArray:
-    """Coordinates by axis, in the order of the parameters; of one parameter alone, the second is 0."""
+    """Return the coordinates on each axis, in the order of the parameters; a missing second axis is 0."""
     columns = values[:, sorted(parameter_indices)].T
     return columns if len(columns) > 1 else np.concatenate([columns, np.zeros_like(columns)])
 
@@ -313,7 +317,7 @@ def _label_parameters(axis: Any, data: _PaperData, parameter_indices: tuple[int,
 
 
 def _fit_axes_in_space(axis: Any) -> None:
-    """Size axes in space so that their labels do not lie on the next panel, nor their numbers on each other."""
+    """Scale 3D axes so that labels do not reach into the next panel and numbers do not overlap."""
     axis.set_box_aspect(None, zoom=0.95)
     for panel_axis in (axis.xaxis, axis.yaxis, axis.zaxis):
         panel_axis.set_major_locator(MaxNLocator(4))
@@ -321,7 +325,7 @@ def _fit_axes_in_space(axis: Any) -> None:
 
 
 def _add_legend(axis: Any) -> None:
-    # Where all scenarios are noise there are no hulls.
+    # If all scenarios are noise, there are no hulls.
     if not axis.get_legend_handles_labels()[0]:
         return
     height = -0.04 if axis.name == "3d" else -0.14

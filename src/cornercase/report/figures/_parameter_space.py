@@ -1,4 +1,4 @@
-"""Figures of scenarios in the parameter space, and in the kernel space that clusters were found in."""
+"""Figures of scenarios in the parameter space, and in the kernel space in which clusters were found."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ _ROLE_MARKERS: Final = (
 def draw_scores_by_parameter_pair(
     values: FloatArray, parameters: Sequence[Parameter], scores: FloatArray, metric: Metric
 ) -> Figure:
-    """Draw scores, shape (n,), over up to six pairs of parameters; critical scenarios are dark.
+    """Draw the scores of n scenarios over up to six pairs of parameters; critical scenarios are dark.
 
-    `values` has shape (n, d).
+    `scores` has shape (n,), and `values` shape (n, d) with d parameters.
     """
     # Numeric parameters first; parameters with a single value are left out.
     varied = [i for i, parameter in enumerate(parameters) if parameter.size != 1] or [0]
@@ -103,7 +103,10 @@ def draw_hulls_and_reduced_set(
     reduced: ReducedSet,
     parameter_indices: Sequence[int],
 ) -> Figure:
-    """Draw the reduced set and the hull of each cluster in the parameter space, in 3D if it has enough parameters."""
+    """Draw the reduced set and the hull of each cluster in the parameter space.
+
+    The axes are the first three of `parameter_indices`, or two if there are no three.
+    """
     row_by_id = {scenario: k for k, scenario in enumerate(ids)}
     is_3d = len(parameter_indices) >= 3
     parameter_indices = list(parameter_indices[: 3 if is_3d else 2])

@@ -49,10 +49,10 @@ def draw_courses_by_cluster(
 def draw_coverage_curves(
     curves_and_critical: Mapping[str, tuple[CoverageCurves, BoolArray]], units: Sequence[str]
 ) -> Figure:
-    """Draw the fraction of scenarios within a distance of the reduced set, in one panel for each aspect.
+    """Draw which share of scenarios lies within a distance of the reduced set, with one panel for each aspect.
 
-    `curves_and_critical` maps an aspect to the coverage by the reduced set and the mask of critical scenarios. `units`
-    are the units of the distances.
+    `curves_and_critical` maps an aspect (what scenarios are compared by) to the coverage by the reduced set and the
+    mask of critical scenarios. `units` are the units of the distances.
     """
     columns = min(3, len(curves_and_critical))
     rows = -(-len(curves_and_critical) // columns)

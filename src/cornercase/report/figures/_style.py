@@ -49,12 +49,12 @@ def format_score_label(metric: Metric) -> str:
 
 
 def label_axis(axis: Axis, parameter: Parameter) -> None:
-    """Label an axis with the name of a parameter, and mark its choices if it has choices."""
+    """Label an axis with the name and unit of a parameter; its choices, if any, become the ticks."""
     axis.set_label_text(format_axis_label(parameter))
     if parameter.choices:
         axis.set_ticks(range(len(parameter.choices)), [shorten_tick_label(choice) for choice in parameter.choices])
 
 
 def shorten_tick_label(text: str) -> str:
-    """Shorten a tick label."""
+    """Shorten a tick label to at most 16 characters."""
     return sanitize.shorten(text, _MAX_TICK_LENGTH)
