@@ -1,4 +1,4 @@
-"""Write replays as GIF and MP4 files."""
+"""Writers of replay films as GIF and MP4 files."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ if TYPE_CHECKING:
     from cornercase.report.replays._frames import Frame
 
 _N_COLOURS: Final = 255
-# Seconds that the last frame stays.
+# Seconds for which an MP4 shows its last frame.
 _FINAL_PAUSE: Final = 1.5
 
 
 def nearest_gif_rate(fps: float) -> float:
-    """Return the nearest frame rate (at most 50) that a GIF supports: frames last whole hundredths of a second."""
+    """Return the frame rate, at most 50, nearest to `fps` with which GIF frames last whole hundredths of a second."""
     return 100.0 / max(2, round(100.0 / fps))
 
 
@@ -58,16 +58,16 @@ def find_ffmpeg() -> str:
             program = str(get_ffmpeg_exe())
         except (ImportError, RuntimeError):
             raise InputError(
-                "An .mp4 is written by ffmpeg, which is not on the PATH: install it; or take the extra 'video',"
-                f" {describe_install('video')}; .gif and .html need nothing more."
+                "Writing an .mp4 needs ffmpeg, which is not on the PATH: install it, or use the extra 'video'"
+                f" ({describe_install('video')}); .gif and .html do not need it."
             ) from None
     return program
 
 
 def write_mp4(frames: Iterator[Frame], path: Path, fps: float) -> None:
-    """Write frames as an MP4 that all browsers play; InputError if ffmpeg fails.
+    """Write frames, shape (height, width, 3), as an MP4 that all browsers play; InputError if ffmpeg fails.
 
-    Width and height of the frames must be even.
+    Height and width must be even.
     """
     program = find_ffmpeg()
     first = next(frames)

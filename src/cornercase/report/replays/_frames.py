@@ -1,4 +1,4 @@
-"""Render the frames of a replay film: scenes from above, and below them the course of the metric."""
+"""Frames of a replay film: scenes from above, and below the scenes the course of the first metric over time."""
 
 from __future__ import annotations
 
@@ -46,21 +46,21 @@ Frame = npt.NDArray[np.uint8]
 
 
 class FrameRenderer:
-    """Renders the frames of a replay film.
+    """Renderer of the frames of a replay film.
 
-    With one scenario, a frame is 9.6 by 7.2 inches at `dpi` pixels per inch.
+    A frame with one scenario is 9.6 by 7.2 inches at `dpi` pixels per inch; with two scenarios, 14.4 by 7.2 inches.
     """
 
     def __init__(self, data: ReplayData, *, dpi: int = 100) -> None:
         self._data = data
         self._figure = Figure(figsize=_FRAME_INCHES[len(data.items)], dpi=dpi, facecolor="white")
         self._canvas = FigureCanvasAgg(self._figure)
-        positions = np.concatenate([self._visible_positions(take) for take in data.items])
+        positions = np.concatenate([self._visible_positions(item) for item in data.items])
         # All scenes show the same region.
         self._view_center: tuple[float, float] = tuple(((positions.min(axis=0) + positions.max(axis=0)) / 2.0).tolist())
         self._half_height = max(_MIN_VIEW, float(np.ptp(positions, axis=0).max()) + 2.0 * _VIEW_MARGIN) / 2.0
         with rc_context({"text.parse_math": False, "font.size": 10.0}):
-            self._scenes = [self._create_scene(k, take) for k, take in enumerate(data.items)]
+            self._scenes = [self._create_scene(k, item) for k, item in enumerate(data.items)]
             self._course = self._draw_course(data.metrics[0])
             self._time_label = self._figure.text(
                 _RIGHT_EDGE, 0.955, "", ha="right", fontsize=12, color=LABEL, animated=True
@@ -89,32 +89,32 @@ class FrameRenderer:
         return Scene(axes, item.recording, self._data, self._data.main_other(item))
 
     def _draw_course(self, metric: Metric) -> tuple[Axes, list[Artist]]:
-        footage = self._data
+        data = self._data
         axes = self._figure.add_axes(
             (_LEFT_EDGE, _COURSE_SPAN[0], _RIGHT_EDGE - _LEFT_EDGE, _COURSE_SPAN[1] - _COURSE_SPAN[0])
         )
-        moving: list[Artist] = [axes.axvline(footage.start_time, color=LABEL, linewidth=1.0, animated=True)]
-        for take, colour, line in zip(footage.items, (EGO, OTHER), ("-", "--"), strict=False):
-            course = take.courses[metric.name]
-            label = f"scenario {take.row.id}"
-            axes.plot(take.recording.time, course, line, color=colour, linewidth=1.8, label=label)
+        moving: list[Artist] = [axes.axvline(data.start_time, color=LABEL, linewidth=1.0, animated=True)]
+        for item, colour, line in zip(data.items, (EGO, OTHER), ("-", "--"), strict=False):
+            course = item.courses[metric.name]
+            label = f"scenario {item.row.id}"
+            axes.plot(item.recording.time, course, line, color=colour, linewidth=1.8, label=label)
             moving += axes.plot([], [], "o", color=colour, markersize=6, animated=True)
-        if footage.criterion is not None:
-            axes.axhline(footage.criterion.threshold, color="#b3261e", linestyle=":", linewidth=1.2, label="threshold")
+        if data.criterion is not None:
+            axes.axhline(data.criterion.threshold, color="#b3261e", linestyle=":", linewidth=1.2, label="threshold")
         unit = f" [{metric.unit}]" if metric.unit else ""
-        axes.set_xlim(footage.start_time, max(footage.end_time, footage.start_time + 1e-3))
+        axes.set_xlim(data.start_time, max(data.end_time, data.start_time + 1e-3))
         axes.set_xlabel("time [s]", labelpad=1.0)
         axes.set_ylabel(shorten(escape_control_characters(f"{metric.name}{unit}"), 24))
         axes.tick_params(labelsize=8)
         axes.grid(color=LINE, linewidth=0.5, alpha=0.5)
-        if len(axes.lines) > 1 + len(footage.items):
+        if len(axes.lines) > 1 + len(data.items):
             axes.legend(
                 loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=3, frameon=False, fontsize=8, borderaxespad=0.0
             )
         return axes, moving
 
     def _visible_positions(self, item: ReplayItem) -> FloatArray:
-        """Return the positions of ego and other entity in m, shape (P, 2), at the times when they are in view."""
+        """Return all positions of ego and other entity, in m, that should be in view; shape (P, 2) for P positions."""
         recording, meta = item.recording, self._data.meta
         names = (meta.ego, self._data.main_other(item))
         paths = [recording.box_center(name) for name in names if name in recording.names]
@@ -135,12 +135,12 @@ class FrameRenderer:
     def render_frames(self, times: FloatArray) -> Iterator[Frame]:
         """Yield a frame for each time in s, as uint8 array of shape (height, width, 3)."""
         metric = self._data.metrics[0].name
-        takes = self._data.items
+        items = self._data.items
         motions = [
-            interpolate_motion(take.recording, np.clip(times, take.recording.time[0], take.recording.time[-1]))
-            for take in takes
+            interpolate_motion(item.recording, np.clip(times, item.recording.time[0], item.recording.time[-1]))
+            for item in items
         ]
-        values = [np.interp(times, take.recording.time, take.courses[metric]) for take in takes]
+        values = [np.interp(times, item.recording.time, item.courses[metric]) for item in items]
         # Static parts are drawn once.
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", r"Glyph \d+ .* missing")
@@ -161,8 +161,8 @@ class FrameRenderer:
         for scene, motion in zip(self._scenes, motions, strict=True):
             scene.draw_moving(motion, index, time)
         cursor.set(xdata=[time, time])
-        for dot, value, take in zip(dots, courses, self._data.items, strict=True):
-            dot.set(xdata=[min(time, float(take.recording.time[-1]))], ydata=[value[index]])
+        for dot, value, item in zip(dots, courses, self._data.items, strict=True):
+            dot.set(xdata=[min(time, float(item.recording.time[-1]))], ydata=[value[index]])
         for artist in (cursor, *dots):
             axes.draw_artist(artist)
         self._time_label.set_text(f"{time:.2f} s")

@@ -1,4 +1,4 @@
-"""Interpolate motion between recorded instants, and compute what the ego sees."""
+"""Interpolation of motion between recorded instants, and the geometry of what a driver sees."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _TIME_TOLERANCE: Final = 1e-6
 
 
 class Motion(NamedTuple):
-    """Boxes of A entities at F times."""
+    """Poses, speeds and sizes of the boxes of A entities, interpolated at F times."""
 
     x: FloatArray  # centre in m, shape (A, F); NaN while an entity does not exist
     y: FloatArray
@@ -35,13 +35,13 @@ class Motion(NamedTuple):
         )
 
     def eye_position(self, entity: int, time_index: int) -> FloatArray:
-        """Return the eye position of a driver at `time_index`, in m, shape (2,)."""
+        """Return the eye position of an entity's driver at `time_index`, in m, shape (2,)."""
         heading, ahead = self.heading[entity, time_index], EYE_AHEAD * self.length[entity]
         x, y = self.x[entity, time_index], self.y[entity, time_index]
         return np.array([x + ahead * np.cos(heading), y + ahead * np.sin(heading)])
 
     def existing_entities(self, time_index: int) -> list[int]:
-        """Return the entities that exist at `time_index`."""
+        """Return the indices of the entities that exist at `time_index`."""
         return [int(entity) for entity in np.flatnonzero(np.isfinite(self.x[:, time_index] + self.y[:, time_index]))]
 
 
@@ -73,7 +73,7 @@ def interpolate_motion(recording: Recording, times: FloatArray) -> Motion:
 
 
 def is_visible(motion: Motion, driver: int, target: int, time_index: int) -> bool:
-    """Return whether a driver sees an entity at `time_index`; the simulated drivers use the same rule."""
+    """Return whether the driver of one entity sees another entity at `time_index`, by the rule of simulated drivers."""
     obstacles = [entity for entity in motion.existing_entities(time_index) if entity not in (driver, target)]
     watched = [target, *obstacles]
     poses = np.stack((motion.x[:, time_index], motion.y[:, time_index], motion.heading[:, time_index]))
@@ -97,9 +97,9 @@ def hidden_area(motion: Motion, driver: int, obstacle: int, time_index: int) -> 
 
 
 def contact_point(recording: Recording, time: float, first: int, second: int) -> FloatArray:
-    """Return the point in m, shape (2,), where two boxes touch.
+    """Return the point, in m, shape (2,), where the boxes of two entities touch at `time`, in s.
 
-    It is midway between the point of each box that is nearest to the centre of the other box.
+    The point is midway between two others: on each box, the point nearest to the centre of the other box.
     """
     motion = interpolate_motion(recording, np.array([time]))
     return 0.5 * (_nearest_point_of_box(motion, first, second) + _nearest_point_of_box(motion, second, first))

@@ -47,7 +47,7 @@ def replay(
     critical: float | None = None,
     progress: bool = False,
 ) -> Path:
-    """Write the replay of a scenario: the motion of all entities on the road, and how critical it is.
+    """Write the replay of a scenario: the motion of all entities on the road, and its criticality over time.
 
     Parameters
     ----------
@@ -59,15 +59,15 @@ def replay(
         ``.html`` for a page to play, scrub and zoom in any browser; ``.gif`` or ``.mp4`` for a film. The same study
         gives the same bytes (``.mp4``: with the same ffmpeg).
     beside : int, optional
-        Id of another scenario, shown beside it on the same clock.
+        Id of another scenario, which is shown beside the first one at the same time of simulation.
     fps : float, optional
         Frames per second of a film, at most 60. By default 25 for MP4 and 10 for GIF. Frames of a GIF last whole
         hundredths of a second.
     speed : float, default 1
         Speed of a film: 0.5 shows 1 s of the recording in 2 s.
     scenario : path or ScenarioFile, optional
-        Scenario file that was explored, to draw the road. By default it is searched beside the study and in the current
-        folder. If it is not found, no road is drawn.
+        Scenario file that was explored, to draw the road. By default the file is searched beside the study and in the
+        current folder. Without the file, no road is drawn.
     critical : float, optional
         Threshold for this replay only; by default that of the study.
     progress : bool, default False
@@ -146,7 +146,7 @@ def _write_film(data: ReplayData, path: Path, ending: str, fps: float, speed: fl
 
 
 def _frame_times(data: ReplayData, step: float) -> FloatArray:
-    """Return the times of frames in s, from the begin to the end of the replay, both included."""
+    """Return the times of frames in s, from the start to the end of the replay, both included."""
     span = data.end_time - data.start_time
     if span / step > _MAX_FRAMES:
         raise InputError(

@@ -62,11 +62,11 @@ class ReplayData:
 
     @property
     def parameters(self) -> Sequence[Parameter]:
-        """Parameters of the space."""
+        """Parameters of the study's parameter space."""
         return self.meta.space.parameters
 
     def main_other(self, item: ReplayItem) -> str:
-        """Return the other entity that the score by the first metric is measured against, or else the first one."""
+        """Return the entity against which the first metric measured the ego; if unknown, the first other entity."""
         return item.score_sources.get(self.metrics[0].name) or self.meta.others[0]
 
     @property
@@ -77,13 +77,13 @@ class ReplayData:
     @property
     def end_time(self) -> float:
         """End of the longest recording in s."""
-        return max(float(take.recording.time[-1]) for take in self.items)
+        return max(float(item.recording.time[-1]) for item in self.items)
 
 
 def read_replay_data(
     study: StudyFile, ids: Sequence[int], scenario: Path | str | ScenarioFile | None = None
 ) -> ReplayData:
-    """Read scenarios and their road for a replay.
+    """Read scenarios of a study and their road for a replay.
 
     InputError if a scenario was not run, or if `scenario` is not the file that was explored.
     """
@@ -94,13 +94,13 @@ def read_replay_data(
     criterion = None if objective.weights else objective.criterion
     outcomes = study.outcomes()
     rows = {row.id: row for row in study.rows()}
-    takes = []
+    items = []
     for scenario_id in ids:
         row = _require_run_scenario(study, rows, scenario_id)
         scores = study.scenario_scores(scenario_id)
         courses = {metric.name: metric.clip_course(study.course(scenario_id, metric.name)) for metric in metrics}
         recording = study.recording(scenario_id)
-        takes.append(
+        items.append(
             ReplayItem(
                 row,
                 recording,
@@ -112,9 +112,9 @@ def read_replay_data(
                 find_events_of_scenario(study, scenario_id, recording),
             )
         )
-    region = recorded_bounds(take.recording for take in takes)
-    road, missing = find_road_outline(study, region, scenario, takes[0].row.values)
-    return ReplayData(study.path.name, meta, metrics, criterion, tuple(takes), road, missing)
+    region = recorded_bounds(item.recording for item in items)
+    road, missing = find_road_outline(study, region, scenario, items[0].row.values)
+    return ReplayData(study.path.name, meta, metrics, criterion, tuple(items), road, missing)
 
 
 def _require_run_scenario(study: StudyFile, rows: Mapping[int, ScenarioRecord], scenario_id: int) -> ScenarioRecord:

@@ -1,4 +1,4 @@
-"""Page of a replay: one HTML file without external references."""
+"""Page that plays a replay: one HTML file without external references."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ _POLICY: Final = "default-src 'none'; script-src 'unsafe-inline'; style-src 'uns
 
 def render_replay_page(data: ReplayData) -> str:
     """Render the page of a replay; the same study gives the same bytes."""
-    items = sorted({take.row.id: take for take in data.items}.items())
+    items = sorted({item.row.id: item for item in data.items}.items())
     recordings = {
-        scenario: base64.b64encode(encode_rounded(take.recording, take.courses)).decode() for scenario, take in items
+        scenario: base64.b64encode(encode_rounded(item.recording, item.courses)).decode() for scenario, item in items
     }
     meta = data.meta
-    ids = " beside ".join(str(take.row.id) for take in data.items)
+    ids = " beside ".join(str(item.row.id) for item in data.items)
     return render_template(
         "replay.html.j2",
         _STYLES,
@@ -39,30 +39,30 @@ def render_replay_page(data: ReplayData) -> str:
 
 
 def _replay_payload(data: ReplayData) -> dict[str, Any]:
-    """Return the contents of the page for the replayed scenarios only."""
+    """Return the data for the scripts of a replay page, reduced to the replayed scenarios."""
     meta, metrics = data.meta, data.metrics
-    items = sorted({take.row.id: take for take in data.items}.values(), key=lambda take: take.row.id)
-    outcomes = sorted({take.outcome for take in items} - {""})
+    items = sorted({item.row.id: item for item in data.items}.values(), key=lambda item: item.row.id)
+    outcomes = sorted({item.outcome for item in items} - {""})
     return study_info_payload(meta, data.file_name) | {
         "searched": metrics[0].name if data.criterion is not None else "",
         "critical": None if data.criterion is None else asdict(data.criterion),
         "outcomes": outcomes,
         "scenarios": {
-            "id": [take.row.id for take in items],
-            "round": [take.row.round for take in items],
+            "id": [item.row.id for item in items],
+            "round": [item.row.round for item in items],
             "failed": [0] * len(items),
-            "values": parameter_columns(data.parameters, [take.row for take in items]),
-            "scores": {metric.name: [round_score(take.scores[metric.name]) for take in items] for metric in metrics},
-            "critical": [int(take.is_critical) for take in items],
-            "outcome": [outcomes.index(take.outcome) if take.outcome else None for take in items],
+            "values": parameter_columns(data.parameters, [item.row for item in items]),
+            "scores": {metric.name: [round_score(item.scores[metric.name]) for item in items] for metric in metrics},
+            "critical": [int(item.is_critical) for item in items],
+            "outcome": [outcomes.index(item.outcome) if item.outcome else None for item in items],
             "kept": [0] * len(items),
         }
-        | score_source_column(meta, [[take.score_sources.get(metric.name) for metric in metrics] for take in items]),
+        | score_source_column(meta, [[item.score_sources.get(metric.name) for metric in metrics] for item in items]),
         "kept": {},
         "errors": {},
         "kinds": {},
-        "events": {str(take.row.id): dict(take.events) for take in items},
-        "shown": [take.row.id for take in data.items],
+        "events": {str(item.row.id): dict(item.events) for item in items},
+        "shown": [item.row.id for item in data.items],
         "roads": None if data.road is None else encode_road_outline(data.road),
         "roads_missing": data.road_missing_reason,
     }

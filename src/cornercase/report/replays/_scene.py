@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
 
-# The colours of the page in light.
+# The colours of the report page in its light theme.
 GROUND: Final = "#e9ebe4"
 EGO: Final = "#005a94"
 OTHER: Final = "#b84a00"
@@ -35,9 +35,9 @@ _MIN_RADIUS: Final = 0.009
 
 
 class Scene:
-    """Draws the entities of a recording onto axes; set the limits of the axes before.
+    """Drawing of the road and the moving entities of a recording on matplotlib axes.
 
-    `other` is the entity for which the scene shows whether the ego sees it.
+    The limits of the axes must be set before. The scene shows whether the ego sees the entity `other`.
     """
 
     def __init__(self, axes: Axes, recording: Recording, data: ReplayData, other: str) -> None:
@@ -59,10 +59,10 @@ class Scene:
         halo = [withStroke(linewidth=3.0, foreground="white")]
         self._label = axes.text(0.0, 0.0, "", ha="center", fontsize=9, clip_on=True, animated=True, path_effects=halo)
 
-    def _draw_road(self, footage: ReplayData) -> None:
-        assert footage.road is not None
+    def _draw_road(self, data: ReplayData) -> None:
+        assert data.road is not None
         for order, (kind, colour) in enumerate(_AREAS.items()):
-            areas = [points for area_kind, points in footage.road.areas if area_kind == kind]
+            areas = [points for area_kind, points in data.road.areas if area_kind == kind]
             # All outlines lie below all areas, so that only the outline of the union is visible.
             self._axes.add_collection(
                 PolyCollection(areas, facecolors="none", edgecolors=LINE, linewidths=1.8, zorder=0.1 + order),
@@ -72,7 +72,7 @@ class Scene:
                 PolyCollection(areas, facecolors=colour, edgecolors=colour, linewidths=0.5, zorder=0.2 + order),
                 autolim=False,
             )
-        for kind, points in footage.road.lines:
+        for kind, points in data.road.lines:
             dashes: Any = (0, (4, 4)) if kind == "lane" else "-"
             self._axes.add_line(Line2D(*points.T, color="white", linewidth=1.0, linestyle=dashes, zorder=3.0))
 
@@ -80,7 +80,7 @@ class Scene:
         return EGO if entity == self._ego else OTHER if entity in self._others else _NEUTRAL
 
     def draw_moving(self, motion: Motion, time_index: int, time: float) -> None:
-        """Draw the moving parts; `time`, in s, belongs to `time_index`."""
+        """Draw the parts that move; `time`, in s, is the time at `time_index` of `motion`."""
         existing = motion.existing_entities(time_index)
         if self._ego in existing:
             for other in existing:
@@ -150,7 +150,7 @@ class Scene:
         self._axes.draw_artist(self._label)
 
     def _draw_once(self, artist: Artist) -> None:
-        """Draw an artist that is removed before the next frame."""
+        """Draw an artist, and remove it from the axes at once so that the next frame does not show it."""
         self._axes.add_artist(artist)
         self._axes.draw_artist(artist)
         artist.remove()
