@@ -61,7 +61,7 @@ def list_contacts(meetings: Sequence[Meeting | None]) -> list[dict[str, str]]:
 
 
 def ask_about_unmeasured(meetings: Sequence[Meeting], ego: str) -> str:
-    """Name the entities that the ego touches although the study does not measure it against them.
+    """Return a sentence that names the entities that the ego touches although no metric measures the ego against them.
 
     The sentence asks the testers to agree whether a contact with these entities fails a run, since the study does not
     judge that. The text is empty if the ego touches no entity of this kind in any of the runs.

@@ -47,8 +47,8 @@ class SettableQuantity:
 def find_settable_quantity(parameter: Parameter, scenario: ScenarioFile | None) -> SettableQuantity:
     """Find the unit of a parameter, and the step to which its values can be set.
 
-    The unit is the parameter's own, the unit of the scenario's attributes that use the parameter, or the ending of its
-    name, such as ``_kph``.
+    The unit is the first that is known: the parameter's own, the unit of the scenario's attributes that use the
+    parameter, or the ending of its name, such as ``_kph``.
     """
     if parameter.choices:
         return SettableQuantity(parameter.unit, None, "a choice")

@@ -27,7 +27,7 @@ class Rounding:
 def iter_roundings(
     parameters: Sequence[Parameter], quantities: Sequence[SettableQuantity], values: Mapping[str, Value]
 ) -> Iterator[Rounding]:
-    """Yield the 64 nearest roundings of a scenario, up or down in each parameter, the nearest first.
+    """Yield at most 64 roundings of a scenario, up or down in each parameter, the nearest first.
 
     Each value is within the range of its parameter. A parameter that is not rounded, or whose range contains no
     multiple of the step, keeps its value.

@@ -38,7 +38,8 @@ class _Row:
     """Row of the table of verdicts, with what is shown of the scenario.
 
     `margin`, in `unit`, is the distance from the limit of the requirement, negative if the requirement is missed.
-    `gap`, in m, is the smallest gap without a contact. `impact_speed`, in m/s, is set for failures without a margin.
+    `gap`, in m, is the smallest gap to another entity, infinite after a contact or if unknown. `impact_speed`, in m/s,
+    is given for failures by a contact without a margin.
     """
 
     scenario: int

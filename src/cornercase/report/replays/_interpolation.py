@@ -99,7 +99,7 @@ def hidden_area(motion: Motion, driver: int, obstacle: int, time_index: int) -> 
 def contact_point(recording: Recording, time: float, first: int, second: int) -> FloatArray:
     """Return the point, in m, shape (2,), where the boxes of two entities touch at `time`, in s.
 
-    The point is midway between two others: on each box, the point nearest to the centre of the other box.
+    The point is midway between two points: on each box, the point nearest to the centre of the other box.
     """
     motion = interpolate_motion(recording, np.array([time]))
     return 0.5 * (_nearest_point_of_box(motion, first, second) + _nearest_point_of_box(motion, second, first))

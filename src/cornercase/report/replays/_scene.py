@@ -1,4 +1,4 @@
-"""Draw one scene of a replay film: the road and the entities on it."""
+"""One scene of a replay film: the road and the entities on it, seen from above."""
 
 from __future__ import annotations
 
