@@ -1,4 +1,4 @@
-"""Present studies: reports, replays, comparisons, and a live page."""
+"""Presentation of studies: reports, replays, comparisons, and a live page."""
 
 import lazy_loader as lazy
 

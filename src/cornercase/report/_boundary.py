@@ -1,4 +1,4 @@
-"""Pairs of neighbouring scenarios of a study that end differently."""
+"""Pairs of neighbouring scenarios of a study: the ego collides in one of the two, and not in the other."""
 
 from __future__ import annotations
 
@@ -12,16 +12,17 @@ from cornercase.report._report_data import ReportData
 
 @dataclass(frozen=True)
 class BoundaryPair:
-    """Rows of two scenarios that are near each other; the ego collides in one of them."""
+    """Row indices of two neighbouring scenarios: the ego collides in one of the two, and not in the other."""
 
     without_collision: int
     with_collision: int
 
 
 def find_collision_boundary(data: ReportData, count: int) -> list[BoundaryPair]:
-    """Find the nearest pairs with and without a collision; empty if all end alike, or the space was not explored.
+    """Find the `count` nearest pairs of a scenario with a collision and a scenario without, in the unit cube.
 
-    All parameters count alike: what hardly changes the score may still decide whether there is a collision.
+    The result is empty if all scenarios have a collision, if none has one, or if the space was not explored. All
+    parameters have the same weight: a parameter that hardly changes the score may still decide about a collision.
     """
     if not data.summary.represents_space:
         return []

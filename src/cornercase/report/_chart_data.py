@@ -15,7 +15,11 @@ from cornercase.study._objective import Objective
 
 
 def search_chart(data: ReportData) -> dict[str, Any]:
-    """Return the progress of the search by round: scenarios run, best score, critical scenarios, missed fraction."""
+    """Return the data of the chart that shows the progress of the search.
+
+    At the end of each round: number of scenarios run, best score, number of critical scenarios. After some rounds: the
+    estimated fraction of the critical set that no scenario has found, with its interval.
+    """
     meta = data.summary.meta
     objective = Objective.from_study_meta(meta)
     oriented = objective.minimized(np.stack([data.scores[metric.name] for metric in objective.metrics], axis=1))
@@ -44,7 +48,7 @@ def search_chart(data: ReportData) -> dict[str, Any]:
 
 
 def sensitivity_chart(data: ReportData) -> dict[str, Any] | None:
-    """Return the sensitivity to each parameter with 90 % intervals; None if it is unknown."""
+    """Return the sensitivity to each parameter with 90 % intervals; None if there is no meaningful estimate."""
     sensitivity = data.summary.estimates.sensitivity
     if sensitivity is None or not sensitivity.is_meaningful:
         return None
@@ -59,10 +63,11 @@ def sensitivity_chart(data: ReportData) -> dict[str, Any] | None:
 
 
 def coverage_charts(data: ReportData) -> dict[str, Any]:
-    """Return, by aspect, the percentage of scenarios within a distance of the reduced set, as a function of distance.
+    """Return the data of the charts of coverage, by aspect (what the scenarios are compared by).
 
-    Curves for comparison show k-medoids, the range that contains 90 of 100 random selections, and the critical
-    scenarios alone.
+    The main curve is the percentage of scenarios within a distance of the reduced set, as a function of the distance.
+    Curves for comparison: the same percentage with k-medoids instead of the reduced set, the range that contains 90 of
+    100 random selections, and the percentage of the critical scenarios alone.
     """
     charts = {}
     for name, curves in data.coverage_curves.items():
@@ -81,7 +86,7 @@ def coverage_charts(data: ReportData) -> dict[str, Any]:
 
 
 def hull_edges(data: ReportData) -> dict[str, list[list[int]]]:
-    """Return the edges of each cluster's hull in the parameter space: pairs of scenario ids, by cluster."""
+    """Return the edges of the hull of each cluster in the parameter space, by cluster: pairs of scenario ids."""
     reduced = data.summary.reduced_set
     hulls = {} if reduced is None else reduced.hulls
     edges_by_cluster = {}

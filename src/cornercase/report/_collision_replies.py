@@ -1,4 +1,4 @@
-"""What the ego did about its collisions, and what else would have avoided them, counted over a study."""
+"""Numbers of collisions in a study by how the ego braked, and by what would have avoided them."""
 
 from __future__ import annotations
 
@@ -18,31 +18,36 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ReplyCounts:
-    """What the ego did about its collisions, and what else would have avoided them, as far as the motion shows it.
+    """Numbers of collisions by how the ego braked, and by what would have avoided them, as the recorded motion shows.
 
     Attributes
     ----------
     n_collisions : int
-        Scenarios in which the ego collides with an entity it is measured against.
+        Number of scenarios in which the ego collides with an entity it is measured against.
     n_measured : int
-        Those whose recordings were examined: all, or an even sample of a large study. The following are numbers of
-        these.
-    n_without_braking, n_braking, n_driving_on : int
-        The ego does not brake; it brakes or stands until they touch; it brakes, and drives on before they touch.
+        Number of collisions whose recordings were examined: all with known motion, or an even sample of a large study.
+        All following numbers count examined collisions only.
+    n_without_braking : int
+        Collisions in which the ego does not brake.
+    n_braking : int
+        Collisions in which the ego brakes or stands until the contact.
+    n_driving_on : int
+        Collisions in which the ego brakes, and speeds up again before the contact.
     n_reactions : int
-        It brakes no earlier than 0.5 s before it could see the collision coming.
+        Collisions in which the ego begins to brake at most 0.5 s before it could see the collision coming, or later.
     median_reaction : float or None
-        Time from then to braking in s, over these.
+        Median time in s from when the ego could see the collision coming to its braking, over the `n_reactions`
+        collisions. None if `n_reactions` is 0.
     n_seen_too_late : int
-        Full braking at once, when it could see the collision coming, would not have stopped it.
+        Collisions that the ego could see coming so late that even full braking at once would not have stopped it.
     n_avoided_earlier : mapping of float to int
-        Of those with braking, how many braking earlier would have avoided, by how much earlier in s.
+        Collisions with braking that earlier braking would have avoided, by the time in s by which it begins earlier.
     n_avoided_by_full_braking : int
-        Of those without braking, how many the careful driver of UN Regulation No. 157 would have avoided.
+        Collisions without braking that the careful driver of UN Regulation No. 157 would have avoided.
     n_avoided_by_waiting : int
-        Of those in which it drives on, how many waiting would have avoided.
+        Collisions counted in `n_driving_on` that the ego would have avoided if it had stopped and waited.
     events : mapping of int to EncounterEvents
-        What happened when, by scenario that was examined.
+        Times of sight, braking and contact, by id of the examined scenario.
 
     Examples
     --------
@@ -67,17 +72,17 @@ class ReplyCounts:
 
     @property
     def n_with_braking(self) -> int:
-        """Number of collisions in which the ego brakes, whether or not it drives on."""
+        """Number of collisions in which the ego brakes; afterwards it may speed up again."""
         return self.n_braking + self.n_driving_on
 
 
 def count_replies(
     study: StudyFile, impacts: Sequence[Sequence[Impact]], *, max_measured: int = 200
 ) -> ReplyCounts | None:
-    """Count what the ego did about its collisions; None without collisions, or if no motion is known.
+    """Count the collisions of the ego by how it braked; None without collisions, or if no motion is known.
 
-    `impacts` are those of each scenario that ran. Recordings of at most `max_measured` collisions are read, which is
-    quick, and leaves an error of a few percent.
+    `impacts` are the collisions of the ego in each scenario that ran. At most `max_measured` recordings are read, which
+    is quick, and leaves an error of a few percent.
     """
     others = frozenset(study.meta.others)
     first_hits = {

@@ -1,4 +1,4 @@
-"""Recreate the command line or the study file that repeats a study."""
+"""Command line, or study file (TOML for ``explore --config``), that repeats a study."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _SIMULATION: Final = ("simulator", "time_step", "duration", "on_collision", "dri
 
 
 def format_command(meta: StudyMeta) -> str:
-    """Return the command that repeats a study, to be run in the folder of the scenario or the imported recordings."""
+    """Return the command line that makes a study again, if run in the folder of its scenario or imported recordings."""
     if meta.optimizer.startswith(_ESTIMATE_PREFIX):
         arguments = ["estimate", "STUDY.db", *_arguments(meta, "budget", "seed")]
     elif meta.simulator == IMPORTED_SIMULATOR:
@@ -50,7 +50,7 @@ def format_command(meta: StudyMeta) -> str:
 
 
 def _arguments(meta: StudyMeta, *names: str) -> Iterator[str]:
-    """Yield the named options of a study as command line arguments; options that have no stored value are left out."""
+    """Yield the options `names` of a study as command line arguments; options without a stored value are left out."""
     for name, texts in _format_options(meta).items():
         if name in names:
             flag = OPTIONS[name].flag
@@ -60,7 +60,7 @@ def _arguments(meta: StudyMeta, *names: str) -> Iterator[str]:
 
 
 def _format_options(meta: StudyMeta) -> dict[str, list[str]]:
-    """Return the values of a study's options as written on the command line, by option name."""
+    """Return the values of a study's options as texts for the command line, by option name."""
     values = stored_values(meta) | _stored_ranges(meta)
     return {
         name: _format_values(option, value)
@@ -95,10 +95,10 @@ def _format_range(parameter: Parameter) -> str:
 
 
 def describe_limits(meta: StudyMeta, n_ended: int, *, has_space_file: bool = False) -> Iterator[str]:
-    """Yield a text for each part of a study that the command cannot express.
+    """Yield a sentence for each part of a study that the command of `format_command` cannot express.
 
-    `n_ended` is the number of scenarios that have ended. `has_space_file` says that the command names the file of the
-    space.
+    `n_ended` is the number of scenarios that have ended. `has_space_file` is True if the command names the file of the
+    parameter space.
     """
     if meta.optimizer.startswith(_ESTIMATE_PREFIX):
         yield "STUDY.db stands for the study that the estimate was made of."
@@ -119,7 +119,7 @@ def describe_limits(meta: StudyMeta, n_ended: int, *, has_space_file: bool = Fal
 
 
 def describe_unnamed_drivers(meta: StudyMeta) -> Iterator[str]:
-    """Yield a text for each driver that was created in Python code, because no command can name it."""
+    """Yield a sentence for each driver of a study that no command can name, because Python code created the driver."""
     for entity, driver in meta.drivers.items():
         if driver_command_option(driver) is None:
             yield (
@@ -129,7 +129,7 @@ def describe_unnamed_drivers(meta: StudyMeta) -> Iterator[str]:
 
 
 def describe_retry(meta: StudyMeta) -> str:
-    """Describe how to run the failed scenarios of a study again."""
+    """Return a text that tells the user how to run the failed scenarios of a study again."""
     if meta.simulator == IMPORTED_SIMULATOR:
         return "Mend the recordings, and import them into another study."
     if meta.suite or meta.optimizer.startswith(_ESTIMATE_PREFIX):
@@ -141,7 +141,7 @@ def describe_retry(meta: StudyMeta) -> str:
 
 
 def _is_expressible_as_range(parameter: Parameter) -> bool:
-    """Return whether the option ``--range`` can express the parameter."""
+    """Return whether the option ``--range`` can express a parameter."""
     plain = not parameter.choices or parameter.choices == _BOOLEANS
     return plain and parameter.distribution is None and parameter.low < parameter.high
 
@@ -159,15 +159,15 @@ def _format_number(value: float) -> str:
 
 
 def format_study_file(study: StudyFile | Path | str) -> str:
-    """Return a study file (TOML for ``explore --config``) that repeats a study.
+    """Return the text of a study file (TOML for ``explore --config``) that makes a study again.
 
-    Parts that it cannot express are listed in comments. The path of the scenario is relative to the current folder.
-    InputError if `explore` did not make the study.
+    Comments list the parts of the study that TOML cannot express. The path of the scenario is relative to the current
+    folder. InputError if `explore` did not make the study.
     """
     with open_study(study, readonly=True) as opened:
         meta = opened.meta
         if meta.optimizer.startswith(_ESTIMATE_PREFIX) or meta.simulator == IMPORTED_SIMULATOR or meta.suite:
-            raise InputError(f"{opened.path}: was not made by `explore`, so no study file can repeat it.")
+            raise InputError(f"{opened.path}: was not made by `explore`, so no study file (TOML) can repeat it.")
         lines = [f"# Makes {opened.path.name} again: cornercase explore --config FILE.toml -o STUDY.db"]
         options = _format_options(meta)
         n_ended = sum(row.state != "pending" for row in opened.rows())
@@ -195,7 +195,7 @@ def _relative_path(path: Path) -> str:
 def _find_space_file(scenario: ScenarioFile, space: ParameterSpace) -> Path | None:
     """Return the file beside the scenario that holds the parameter space; None if there is none.
 
-    It is needed because options of the command line cannot express units and constraints.
+    The file is needed because options of the command line cannot express units and constraints.
     """
     for path in sorted(scenario.path.parent.glob("*.xosc"))[:_MAX_FILES]:
         with suppress(InputError, OSError):
@@ -232,5 +232,5 @@ def _format_toml_string(value: str) -> str:
 
 
 def _on_one_line(line: str) -> str:
-    """Put a comment on one line, even if names in it contain line breaks."""
+    """Replace line breaks by spaces if the text is a TOML comment, since names in comments may contain line breaks."""
     return " ".join(line.splitlines()) if line.startswith("#") else line

@@ -1,4 +1,4 @@
-"""Encode the courses of metrics over time as lines for the report page."""
+"""Encode courses (values of metrics over time) for the charts of the report page."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ _MAX_CODE: Final = 65534
 
 
 def encode_courses(courses: Sequence[FloatArray | None], time_spans: Sequence[tuple[float, float]]) -> dict[str, Any]:
-    """Encode the resampled courses of all scenarios (None: no course) as 16-bit integers.
+    """Encode the resampled courses (values of one metric over time) of all scenarios as 16-bit integers.
 
-    `time_spans` are begin and end of each recording in s. The code 65535 stands for a missing value.
+    A course may be None, if the scenario has none. `time_spans` are begin and end of each recording in s. The integer
+    65535 stands for a missing value.
     """
     present = [course for course in courses if course is not None]
     low = min((float(np.nanmin(course)) for course in present), default=0.0)

@@ -1,4 +1,4 @@
-"""Estimates for the whole parameter space: Pareto front, critical set, sensitivities."""
+"""Estimates about the whole parameter space of a study: Pareto front, critical set, sensitivities."""
 
 from __future__ import annotations
 
@@ -25,8 +25,9 @@ from cornercase.study._criterion import Criterion
 if TYPE_CHECKING:
     import pandas as pd
 
-_MIN_SCENARIOS: Final = 10  # from which the missed share is estimated
-# At how many numbers of scenarios the missed share is estimated, and the largest of these but the last one.
+_MIN_SCENARIOS: Final = 10  # smallest number of scenarios with which the missed share is estimated
+# The missed share is estimated after several numbers of scenarios. First value: how many such numbers there are at
+# most. Second value: the largest number of scenarios, apart from all scenarios at the end.
 _PROCESS_LIMITS, _COMMITTEE_LIMITS = (8, 1000), (3, 400)
 _CRITICAL: Final = "critical share of the space"
 _MISSED: Final = "missed share of the critical set"
@@ -39,16 +40,18 @@ class CriticalEstimates:
     Attributes
     ----------
     threshold : float
-        Threshold for being critical, in the unit of the objective.
+        Score from which a scenario is critical, in the unit of the objective.
     lower_is_critical : bool
+        True if scores below the threshold are critical, False if scores above are.
     unit : str
         Unit of the objective; empty if there is none.
     n_run, n_critical : int
-        Number of scenarios that were run, and of critical ones among them.
+        Number of scenarios that were run, and of critical scenarios among them.
     critical_set : CriticalSetEstimates or None
-        None if too few scenarios were run.
+        Estimates about all critical scenarios of the space. None if too few scenarios were run, or if all have the same
+        score.
     audits : AuditEstimates or None
-        None without audits.
+        Estimates from audits (scenarios drawn at random as a check). None without audits.
 
     Examples
     --------
@@ -70,7 +73,7 @@ class CriticalEstimates:
 
     @property
     def criterion(self) -> Criterion:
-        """Threshold, side and unit in one value."""
+        """Condition for being critical: threshold, side of the threshold, and unit."""
         return Criterion(self.threshold, self.lower_is_critical, self.unit)
 
     def table(self) -> pd.DataFrame:
@@ -79,8 +82,9 @@ class CriticalEstimates:
         Returns
         -------
         DataFrame
-            One row per fraction, indexed by what it is of: ``fraction``, the bounds ``low`` and ``high`` of its 90 %
-            interval, and ``no interval``, the reason if there is none. ``audits`` are rows of their own. Empty if too
+            One row per estimate; the index names the estimated fraction. Columns are ``fraction``, the bounds ``low``
+            and ``high`` of the 90 % interval, and ``no interval``, the reason if there is no interval. Estimates from
+            audits (scenarios drawn at random as a check) are separate rows. Without audits, the table is empty if too
             few scenarios were run, or if all have the same score.
         """
         import pandas as pd
@@ -102,7 +106,7 @@ class CriticalEstimates:
         return f"<CriticalEstimates: {'; '.join(self._facts())}>"
 
     def _repr_html_(self) -> str:
-        """The estimates in a list, for notebooks."""
+        """Return the estimates as an HTML list, for notebooks."""
         return f"<ul>{''.join(f'<li>{escape(fact)}</li>' for fact in self._facts())}</ul>"
 
     def _facts(self) -> list[str]:
@@ -121,21 +125,22 @@ class CriticalSetEstimates:
     critical_fraction : Estimate
         Fraction of the space that is critical.
     missed_fraction : Estimate
-        Fraction of the critical part that no scenario in the study has found.
+        Fraction of the critical part of the space that no scenario in the study has found.
     p_overlooked_region : float
-        Probability that a critical region of size `region_fraction` contains no run.
+        Probability that some critical region of at least the size `region_fraction` contains no scenario that was run.
     unexplored_fraction : float
         Fraction of the points of the space around which a region of size `region_fraction` contains no scenario.
     region_fraction : float
-        Size of a region, as fraction of the space.
+        Size of a region, as a fraction of the space.
     max_fraction_in_empty_region : float
-        Largest fraction of the critical part that could hide in a region without scenarios.
+        Largest fraction of the critical part of the space that a region without scenarios could hold.
     interval_unavailable : str or None
         Why `critical_fraction` has no interval; None if there is an interval.
     missed_interval_unavailable : str or None
         Why `missed_fraction` has no interval; None if there is an interval.
     by_committee : bool
-        Whether a committee of classifiers made the predictions, instead of a Gaussian process of the scores.
+        Whether several classifiers together (a committee) made the predictions, instead of a Gaussian process of the
+        scores.
     is_exhausted : bool
         Whether all scenarios of a finite space were run, so that the fractions are exact.
 
@@ -176,7 +181,7 @@ class CriticalSetEstimates:
         ]
 
     def fractions(self) -> list[tuple[str, Estimate, str | None]]:
-        """List what is estimated: its name, its estimate, and why it has no interval, if so.
+        """List both estimated fractions: name, estimate, and the reason if there is no interval (else None).
 
         Returns
         -------
@@ -193,16 +198,16 @@ class CriticalSetEstimates:
 
 @dataclass(frozen=True)
 class AuditEstimates:
-    """Estimates from the audits: random scenarios whose results the search did not see.
+    """Estimates from audits: scenarios drawn at random as a check, whose results the search did not see.
 
     Attributes
     ----------
     n_scenarios, n_critical : int
-        Number of audits that were run, and of critical ones.
+        Number of audits that were run, and of critical audits among them.
     critical_fraction : Estimate
         Fraction of the space that is critical.
     missed_fraction : Estimate or None
-        Fraction of the critical part that no scenario in the study has found; None if unknown.
+        Fraction of the critical part of the space that no scenario in the study has found; None if unknown.
 
     Examples
     --------
@@ -227,13 +232,15 @@ class SpaceEstimates:
     Attributes
     ----------
     pareto_front : mapping of int to mapping of str to float, or None
-        Scores on the Pareto front, by id and metric; None if no front was searched.
+        Scores of the scenarios on the Pareto front, by scenario id and metric; None if no front was searched.
     critical : CriticalEstimates or None
-        None if a front was searched or there is no threshold.
+        Estimates about the critical scenarios. None if a Pareto front was searched, there is no threshold, or no
+        scenario was run.
     sensitivity : Sensitivity or None
-        None if a front was searched or too few scenarios were run.
+        Sensitivity of the objective to each parameter. None if a Pareto front was searched, too few scenarios were run,
+        or all scores are equal.
     surrogate : ScoreSurrogate or None
-        The model that `sensitivity` comes from.
+        Gaussian process of the scores from which `sensitivity` was computed.
 
     Examples
     --------
@@ -251,18 +258,19 @@ class SpaceEstimates:
 
 @dataclass(frozen=True)
 class MissedFractionAfter:
-    """Fraction of the critical set that was still missed after `n_run` scenarios."""
+    """Estimated fraction of the critical set that none of the first `n_run` scenarios has found."""
 
     n_run: int
     missed_fraction: Estimate
-    interval_unavailable: str | None  # why there is no interval; None if there is
+    interval_unavailable: str | None  # why there is no interval; None if there is an interval
 
 
 def estimate_missed_fractions(study: StudyFile, estimates: SpaceEstimates) -> Iterator[MissedFractionAfter]:
-    """Yield the missed fraction of the critical set after some rounds, the last one included.
+    """Estimate, after some rounds of a search, the fraction of the critical set that no scenario had found by then.
 
-    There are at most eight of them, with about doubling numbers of scenarios; at most three if the model is a committee
-    of classifiers, which is slower to fit. All but the last have at most 1,000 scenarios, or 400 with a committee.
+    The number of scenarios about doubles from one estimate to the next. The last estimate uses all scenarios, the
+    others at most 1,000. There are at most eight estimates. If the model is a committee (several classifiers together),
+    which is slow to fit, there are at most three, and all but the last use at most 400 scenarios.
     """
     critical, rows = estimates.critical, study.finished_rows()
     if critical is None or critical.critical_set is None:
@@ -282,7 +290,7 @@ def estimate_missed_fractions(study: StudyFile, estimates: SpaceEstimates) -> It
 
 
 def estimate_space(study: StudyFile) -> SpaceEstimates:
-    """Estimate Pareto front, critical set and sensitivities of a study; parts that need more scores are None."""
+    """Estimate Pareto front, critical set and sensitivities of a study; an estimate that needs more scores is None."""
     rows = study.finished_rows()
     if not rows:
         return SpaceEstimates()
@@ -299,12 +307,16 @@ def estimate_space(study: StudyFile) -> SpaceEstimates:
 
 
 def estimate_study_sensitivity(study: StudyFile) -> Sensitivity:
-    """Estimate the sensitivity of the objective to each parameter; ValueError for fewer than 10 scores."""
+    """Estimate the sensitivity of the objective to each parameter; ValueError if scores are too few or equal."""
     return sensitivity_of_surrogate(fit_study_surrogate(study), study.meta.seed)
 
 
 def fit_study_surrogate(study: StudyFile) -> ScoreSurrogate:
-    """Fit a process to the oriented scores of the searched scenarios; ValueError for fewer than 10 scores."""
+    """Fit a Gaussian process to the scores of a study, signed so that lower is more critical.
+
+    Audits (scenarios drawn at random as a check) are left out. ValueError if there are fewer than 10
+    scores, or all are equal.
+    """
     scores = study.objective.minimized_scores(study)
     searched = ~study.audit_mask()
     return fit_surrogate(study.space, study.points()[searched], scores[searched])
@@ -349,7 +361,7 @@ def estimate_critical(study: StudyFile) -> CriticalEstimates | None:
 
 
 def _estimate_exhausted_space(study: StudyFile) -> CriticalSetEstimates | None:
-    """What is known of a finite space if all its scenarios were run, however few; None of any other space."""
+    """Return the exact fractions of a small finite space all of whose scenarios were run; None for any other space."""
     if not is_small_and_finite(study.space):
         return None
     sample = SpaceSample.from_space(study.space, study.meta.seed)

@@ -1,4 +1,4 @@
-"""What happened when in scenarios, as values for the replay."""
+"""Times of sight, braking and contact between the ego and another entity, as JSON values for the replay."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from cornercase.metrics._timeline import EncounterEvents
 
 MAX_WITH_EVENTS: Final = 1000
-"""Largest number of recordings of a page with events: finding them takes some ms each."""
+"""Largest number of scenarios on a page whose events are found, since this takes some ms for each scenario."""
 
 
 def find_events_of_scenarios(
@@ -22,9 +22,10 @@ def find_events_of_scenarios(
     impacts: Mapping[int, Sequence[Impact]],
     known_events: Mapping[int, EncounterEvents],
 ) -> dict[str, dict[str, Any]]:
-    """Find the events of scenarios that ran, by id; of the first 1000 if there are more.
+    """Find when the ego sees, brakes for and touches another entity in each scenario, as JSON values by id.
 
-    `impacts` are those of each scenario that ran. `known_events` are those of some collisions, which were found before.
+    Scenarios after the first 1000 are left out. `impacts` are the collisions of the ego in each scenario that ran.
+    `known_events` are events that were found before, by id.
     """
     payload = {}
     for scenario in list(ids)[:MAX_WITH_EVENTS]:
@@ -35,10 +36,10 @@ def find_events_of_scenarios(
 
 
 def find_events_of_scenario(study: StudyFile, scenario: int, recording: Recording | None = None) -> dict[str, Any]:
-    """Find the events of a scenario that ran, with the entity that counts.
+    """Find when the ego sees, brakes for and touches another entity in a scenario that ran, as JSON values.
 
-    That is the one that the ego collides with first; else the one that the score by the study's first metric is
-    measured against. `recording` is that of the scenario, by default read from the study.
+    The entity is the first that the ego collides with. Without a collision it is the entity that the score by the
+    study's first metric is measured against. `recording` belongs to the scenario; by default it is read from the study.
     """
     # Impacts are the same for each other entity.
     impact = _first_impact(study.digest(scenario).outcomes[0].impacts, study.meta.others)
@@ -75,6 +76,6 @@ def _events_payload(study: StudyFile, events: EncounterEvents, impact: Impact | 
 
 
 def _first_impact(impacts: Sequence[Impact], others: Sequence[str]) -> Impact | None:
-    """Return the first collision with an entity that the ego is measured against, else with any."""
+    """Return the first collision with one of `others`, else the first with any entity; None without a collision."""
     measured = [impact for impact in impacts if impact.entity in others]
     return next(iter(measured or impacts), None)

@@ -1,4 +1,4 @@
-"""Earlier runs of the scenarios of a suite, to be shown beside those of a run of the suite."""
+"""Earlier runs of the scenarios of a suite, which the report of a run of the suite shows as the expected runs."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ _MAX_CHARACTERS: Final = 8_000_000
 
 @dataclass(frozen=True)
 class ExpectedRuns:
-    """Earlier runs of a suite's scenarios, as the page shows them.
+    """Earlier runs of the scenarios of a suite, which the report page shows as the expected runs beside the new runs.
 
-    `recordings` has encoded recordings by the negative of the id of the scenario in the run, since ids in both studies
-    overlap; `runs` has what the page calls each. `missing` says why there are none; empty if none are to be expected.
-    `gaps` are sentences on what the run did not test.
+    `recordings` are encoded recordings of the earlier runs by negative scenario id, since positive ids belong to the
+    new runs. `runs` are the texts about each earlier run, by scenario id. `missing` says why there are no earlier runs;
+    it is empty if none are expected. `gaps` are sentences on what the suite did not test.
     """
 
     recordings: Mapping[int, str] = field(default_factory=dict)
@@ -41,22 +41,22 @@ class ExpectedRuns:
     gaps: tuple[str, ...] = ()
 
     def to_payload(self) -> dict[str, Any]:
-        """Return what the page needs, except the recordings."""
+        """Return the texts about the earlier runs as JSON values for the report page, without recordings."""
         runs = {str(scenario): dict(run) for scenario, run in self.runs.items()}
         return {"expected": {"runs": runs, "missing": self.missing}} if runs or self.missing else {}
 
 
 def read_expected_runs(study: StudyFile, against: Path | None = None) -> ExpectedRuns:
-    """Read the earlier runs of a suite's scenarios from `against`, or from the study that the suite was made from.
+    """Read the earlier runs of the scenarios of a suite from `against`, or from the study that the suite was made from.
 
-    The suite is searched beside the study of its run and in the current folder, up to two folders below each, and
-    recognized by its content. Only a suite of a reduced study has earlier runs, unless `against` is given. InputError
-    if `against` has no run of these scenarios.
+    `study` is a run of the suite. Without `against`, the suite is searched beside `study` and in the current folder, up
+    to two folders below each, and recognized by its content. Only a suite made from a reduced study then has earlier
+    runs. InputError if `against` has no run of these scenarios.
     """
     meta = study.meta
     if not meta.suite:
         if against is not None:
-            raise InputError(f"`against`: {study.path} is no run of a suite; leave it out.")
+            raise InputError(f"`against`: {study.path} is no run of a suite; leave `against` out.")
         return ExpectedRuns()
     if against is None:
         if not meta.origin:
@@ -92,7 +92,7 @@ def read_expected_runs(study: StudyFile, against: Path | None = None) -> Expecte
 
 
 def _find_source_study(study: StudyFile) -> tuple[Path | None, str]:
-    """Return the study that the suite of a run was made from, or None and why it was not found."""
+    """Find the study that a suite was made from, given a run of the suite; return None and the reason if not found."""
     for manifest in _manifests(study):
         try:
             with warnings.catch_warnings():
@@ -107,7 +107,7 @@ def _find_source_study(study: StudyFile) -> tuple[Path | None, str]:
 
 
 def _manifests(study: StudyFile) -> Iterator[Path]:
-    """Yield manifests near the study that name the same files."""
+    """Yield paths of suite manifests near `study`, the run of a suite, that name the same scenario files as `study`."""
     for folder in (study.path.parent, Path()):
         for path in find_files_below(folder, MANIFEST):
             try:
@@ -120,7 +120,7 @@ def _manifests(study: StudyFile) -> Iterator[Path]:
 
 
 def _match_rows(study: StudyFile, earlier: StudyFile) -> dict[int, int]:
-    """Return the ids of the same scenarios in the earlier study, by their ids in the run; only those that ran."""
+    """Return, by id in `study`, the id of the same scenario in `earlier`; only for scenarios that ran in both."""
     if earlier.meta.suite:
         by_file = {earlier.meta.files[row.id - 1]: row.id for row in earlier.finished_rows()}
         matched = {row.id: by_file.get(study.meta.files[row.id - 1]) for row in study.finished_rows()}
@@ -135,6 +135,6 @@ def _match_rows(study: StudyFile, earlier: StudyFile) -> dict[int, int]:
     if not matches:
         raise InputError(
             f"`against` {earlier.path}: has no run of the scenarios of {study.path}; name the study that the suite was"
-            " made from, or an earlier run of it."
+            " made from, or an earlier run of the suite."
         )
     return matches

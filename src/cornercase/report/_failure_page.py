@@ -1,4 +1,4 @@
-"""Report page of a study all of whose scenarios failed."""
+"""Report page of a study in which all scenarios failed."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from cornercase.report.html._templates import render_template
 from cornercase.report.text._phrases import format_value
 from cornercase.study import ScenarioRecord, StudyFile, StudyMeta
 
-# Rows that somebody may still read.
+# Longest table that somebody may still read, in rows.
 _MAX_ROWS: Final = 1000
 _MISSING_TEXT: Final = (
     "No scenario was run, so there are no scores, critical scenarios, kinds, reduced set or replays. The report shows"
@@ -25,7 +25,7 @@ _POLICY: Final = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
 
 
 def render_failure_page(study: StudyFile) -> str:
-    """Render the page of an open study all of whose finished scenarios failed, as HTML without scripts."""
+    """Render the report page of an open study, in which every scenario so far failed, as HTML without scripts."""
     summary, failed = summarize_with_collisions(study, [], []), study.failed_rows()
     meta = summary.meta
     return render_template(

@@ -1,4 +1,4 @@
-"""Index of the studies in a folder: a table with a row for each, and links to their reports."""
+"""Index page of the studies in a folder: a table with a row for each study, and links to the reports."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _POLICY: Final = "default-src 'none'; script-src 'unsafe-inline'; style-src 'uns
 
 @dataclass(frozen=True)
 class _Cell:
-    """A cell of the table: its text, what it is sorted by, and an address."""
+    """Cell of a table: text, value by which rows are sorted, link address, and tooltip."""
 
     text: str
     sort_by: float | str
@@ -38,16 +38,16 @@ class _Cell:
 
 
 def write_index(folder: Path | str, path: Path | str) -> Path:
-    """Write the index of the studies in a folder, and one folder below, as an HTML page.
+    """Write an HTML page with a table of the studies in a folder, and one folder below.
 
-    Nothing is estimated: the critical share is that of a report beside the study. Files that are no studies, or
-    damaged, are told in a sentence each.
+    Nothing is estimated: the critical share of the space is read from a report beside the study. For each file that is
+    damaged or no study, the page has a sentence.
     """
     folder, path = validation.check_path("folder", folder), validation.check_path("path", path)
     check_page_path(path, "index")
     files = [*sorted(folder.glob("*.db")), *sorted(folder.glob("*/*.db"))]
     if not files:
-        raise InputError(f"{folder}: has no studies; name a folder with .db files, in it or one folder below.")
+        raise InputError(f"{folder}: has no studies; name a folder that holds .db files, directly or one folder below.")
     rows, troubles = [], []
     for file in files:
         try:
@@ -84,7 +84,7 @@ def _describe_counts(n_studies: int, n_troubles: int) -> str:
 
 
 def _read_row(study: StudyFile, folder: Path, page_folder: Path) -> Iterator[_Cell]:
-    """Yield the cells of a study's row, from what the study holds without any estimate."""
+    """Yield the cells of the row of a study in the index, from stored values only, without any estimate."""
     meta = study.meta
     rows = study.rows()
     n_run = sum(row.state == "done" for row in rows)

@@ -1,4 +1,4 @@
-"""Sentences on how near the ego came to others without touching them."""
+"""Closest approaches of the ego to other entities, and sentences about near misses."""
 
 from __future__ import annotations
 
@@ -10,23 +10,24 @@ import numpy as np
 
 @dataclass(frozen=True)
 class NearMiss:
-    """The smallest gap between the boxes of the ego and another entity in a scenario, in m, and when, in s."""
+    """Smallest gap in m between the boxes of the ego and another entity in a scenario, and its time in s."""
 
     entity: str
     gap: float
     time: float
 
     def describe(self) -> str:
-        """Describe it, as ``"0.58 m from VRU at 7.1 s"``."""
+        """Return gap, entity and time as text, such as ``"0.58 m from VRU at 7.1 s"``."""
         return f"{self.gap:.2g} m from {self.entity} at {self.time:.3g} s"
 
 
 def find_closest_approach(
     features: Sequence[Mapping[str, float]], others: Sequence[str], begin: float
 ) -> NearMiss | None:
-    """Find the closest approach among the features with each other entity; None if the ego came nearer to none of them.
+    """Find the closest approach of the ego to any of the other entities; None if the ego approached none.
 
-    An entity that is nearest at the time `begin` of the first instant was placed there.
+    `features` are the features of a recording, one mapping per other entity. An entity that is nearest at the first
+    instant (time `begin`, in s) does not count: the scenario placed the entity there.
     """
     approaches = [
         NearMiss(other, values["nearest"], values["nearest time"])
@@ -37,12 +38,12 @@ def find_closest_approach(
 
 
 def sort_near_misses(approaches: Mapping[int, NearMiss], colliding: Mapping[int, object]) -> list[tuple[int, NearMiss]]:
-    """Return the scenarios without a collision by their closest approach, the nearest first."""
+    """Return id and closest approach of all scenarios without a collision, the smallest gap first."""
     misses = [(scenario, approach) for scenario, approach in approaches.items() if scenario not in colliding]
     return sorted(misses, key=lambda item: (item[1].gap, item[0]))
 
 
 def describe_near_misses(misses: Sequence[tuple[int, NearMiss]]) -> Iterator[str]:
-    """Yield a line for each of these near misses."""
+    """Yield a sentence for each near miss, given as id of the scenario and closest approach."""
     for scenario, approach in misses:
         yield f"Near miss in scenario {scenario}: {approach.describe()}."

@@ -1,4 +1,4 @@
-"""Summary of a study on one page of A4, for whoever decides."""
+"""Summary of a study on one A4 page, for decision makers."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def write_one_page(
     critical: float | None = None,
     memory: str | float = DEFAULT_MEMORY,
 ) -> Path:
-    """Write the summary of a study as an HTML page without scripts, which prints on one page of A4."""
+    """Write the summary of a study as an HTML file without scripts, which fits on one A4 page when printed."""
     path = validation.check_path("path", path)
     check_page_path(path, "summary")
     with open_study(study, readonly=True, critical=critical) as opened, opened.snapshot():
@@ -59,7 +59,7 @@ def write_one_page(
 
 
 def render_one_page(data: ReportData) -> str:
-    """Render the summary as HTML."""
+    """Render the summary of a study on one A4 page, as HTML."""
     meta = data.summary.meta
     command = escape_control_characters(format_command(meta))
     if len(command) > _MAX_COMMAND:
@@ -102,7 +102,7 @@ def _limits(data: ReportData) -> Iterator[str]:
 
 
 def _describe_tested(data: ReportData) -> Iterator[tuple[str, str]]:
-    """Yield what was tested, and how."""
+    """Yield the facts about what was tested and how, as pairs of label and text."""
     summary, meta = data.summary, data.summary.meta
     driver = meta.ego_driver
     function = f"{format_driver(driver)}, which drives {meta.ego}" if driver else meta.ego
@@ -119,14 +119,14 @@ def _describe_tested(data: ReportData) -> Iterator[tuple[str, str]]:
 
 
 def _short_answers(data: ReportData) -> Iterator[tuple[str, str]]:
-    """Yield the questions of the page that decide, with answers as long as there is room."""
+    """Yield the most important questions of the report page with their answers, shortened to the space available."""
     for answer in page_answers(data):
         if answer.name in _QUESTIONS:
             yield answer.question, _shorten_at_sentence(escape_control_characters(answer.text), _MAX_TEXT)
 
 
 def _describe_not_tested(data: ReportData) -> Iterator[str]:
-    """Yield what the study says nothing about."""
+    """Yield sentences about what the study did not test."""
     summary, meta = data.summary, data.summary.meta
     if meta.simulator == IMPORTED_SIMULATOR:
         yield "Only what the recordings show; nothing was run."
@@ -151,7 +151,7 @@ def _describe_not_tested(data: ReportData) -> Iterator[str]:
 
 
 def _selected_table(data: ReportData) -> tuple[list[str], list[list[str]], str]:
-    """Return the head and the rows of the table of kept scenarios, and a note."""
+    """Return head and rows of the table of the reduced set, and a note on how many scenarios the table shows."""
     reduced, meta = data.summary.reduced_set, data.summary.meta
     if reduced is None:
         return [], [], "No scenarios were selected yet; cornercase reduce does it."
@@ -187,7 +187,7 @@ def _draw_space(data: ReportData) -> Markup:
 
 
 def _shorten_at_sentence(text: str, length: int) -> str:
-    """Leave out the last sentences of a text that is too long."""
+    """Shorten a text to at most `length` characters by leaving out its last sentences."""
     if len(text) <= length:
         return text
     end = text.rfind(". ", 0, length)

@@ -1,4 +1,4 @@
-"""Report of a study: one HTML file without external references."""
+"""Report page of a study: one HTML file without external references."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ from cornercase.study._study_file import open_study
 
 _REPLAY_NAMES: Final = "motion sight clock camera road scene course events neighbour pane controls film panel"
 REPLAY_SCRIPTS: Final = tuple(f"replay/{name}.js" for name in _REPLAY_NAMES.split())
-"""Scripts of the replay, in load order."""
+"""Paths of the scripts that replay recordings, in load order."""
 
 _STYLES: Final = ("style.css", "replay.css")
 _SCRIPTS: Final = (
@@ -93,11 +93,12 @@ def write_report(
         Scenario file that was explored, to draw the road. By default it is searched beside the study and in the current
         folder, and recognized by its fingerprint. If it is not found, no road is drawn, and the page says so.
     against : path, optional
-        For the run of a suite: the study that the suite was made from, or an earlier run of the suite, whose runs the
-        page shows beside these as the expected ones. By default the study that the suite was made from, if it is beside
-        its manifest or in the folder above, and the suite is beside the run or in the current folder.
+        Only if `study` is the run of a suite: the study that the suite was made from, or an earlier run of the suite.
+        The page shows its recordings beside the recordings of `study`, as the expected runs. By default it is the study
+        that the suite was made from. That study is searched beside the manifest of the suite and in the folder above.
+        The suite is searched beside `study` and in the current folder.
     critical : float, optional
-        Threshold for this report only, in the unit of the objective; by default that of the study.
+        Threshold for this report only, in the unit of the objective; by default the threshold of the study.
     memory : str or float, default "4 GB"
         Memory limit of the process, as ``"500 MB"`` or in bytes.
     progress : bool, default False
@@ -111,12 +112,12 @@ def write_report(
     Raises
     ------
     InputError
-        No scenario has ended, `path` is the study itself, a file cannot be written, `scenario` is not the explored one,
-        `against` has none of the scenarios, or the report exceeds the memory limit.
+        No scenario has ended, `path` is the study itself, a file cannot be written, `scenario` is not the explored
+        file, `against` has none of the scenarios, or the report exceeds the memory limit.
 
     See Also
     --------
-    cornercase.summarize : The same as values, for programs.
+    cornercase.summarize : The same results as values, for programs.
 
     Examples
     --------
@@ -129,7 +130,7 @@ def write_report(
     limit = MemoryLimit.from_value(memory)
     with (
         open_study(study, readonly=True, critical=critical) as opened,
-        # Others may be writing.
+        # Another process may be writing.
         opened.snapshot() if opened.readonly else nullcontext(),
     ):
         check_output_differs_from_source(path, opened.path)
@@ -173,11 +174,12 @@ def render_report(
     more: Mapping[str, Any],
     expected: ExpectedRuns | None = None,
 ) -> str:
-    """Render the report as HTML.
+    """Render the report page of a study as HTML.
 
-    `recordings` are those that the page contains, encoded, by id. `more` has the keys ``roads`` (the drawing),
-    ``roads_missing`` (why there is none), ``rerun`` (how to run a scenario again) and ``events`` (what happened when in
-    scenarios with a recording). `expected` are the earlier runs of a suite's scenarios.
+    `recordings` are the encoded recordings that the page contains, by scenario id. `more` has the keys ``roads``
+    (drawing of the road), ``roads_missing`` (why there is no drawing), ``rerun`` (how to run a scenario again) and
+    ``events`` (times of sight, braking and contact, by scenario id). `expected` are the earlier runs of the scenarios
+    of a suite.
     """
     expected = expected or ExpectedRuns()
     recording_payload = {
@@ -204,7 +206,7 @@ def render_report(
 
 
 def render_details(data: ReportData) -> Iterator[Section]:
-    """Yield all detail sections in the order of the page."""
+    """Yield all detail sections of the report page, from the first to the last."""
     sections = (
         render_verdicts,
         render_probability,
@@ -221,7 +223,7 @@ def render_details(data: ReportData) -> Iterator[Section]:
 
 
 def render_live_page(title: str) -> str:
-    """Render the page without content: it loads the study from the live server, and grows with the study."""
+    """Render the live page of a study as HTML without content, which the page loads from the live server."""
     empty: dict[str, Any] = {"digest": "", "left_out": "", "about": "", "contents": None, "answers": [], "details": []}
     return _render(live=True, title=title, provenance=Markup(), recordings={}, **empty)
 

@@ -1,4 +1,4 @@
-"""What a report tells of itself in its head, so that an index of many studies need not estimate again."""
+"""Digest of a report page: main results in the HTML head, so that an index page need not estimate them again."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ _PATTERN: Final = re.compile(r'<meta name="cornercase-study" content="([^"]*)">'
 
 
 def page_digest(data: ReportData) -> str:
-    """Return the digest of a report, as JSON."""
+    """Return the digest of a report (JSON for its HTML head): identity of the study and critical share of the space."""
     summary = data.summary
     digest = study_identity(data.file_name, summary.meta, summary.n_run, summary.n_failed)
     critical = summary.estimates.critical
-    # The scenarios of a suite were chosen, so their share is none of a space.
+    # The scenarios of a suite were selected, so their critical share is no estimate for a space.
     if critical is not None and summary.represents_space:
         digest["threshold"] = critical.threshold
         if (estimates := critical.critical_set) is not None:
@@ -32,7 +32,7 @@ def page_digest(data: ReportData) -> str:
 
 
 def study_identity(file_name: str, meta: StudyMeta, n_run: int, n_failed: int) -> dict[str, Any]:
-    """Return what a page and the study that it shows have in common."""
+    """Return the facts by which a report page is recognized as the report of a study, by name."""
     return {
         "study": file_name,
         "fingerprint": meta.fingerprint,
@@ -44,7 +44,7 @@ def study_identity(file_name: str, meta: StudyMeta, n_run: int, n_failed: int) -
 
 
 def read_page_digest(page: Path) -> dict[str, Any] | None:
-    """Read the digest of a page; None if it has none."""
+    """Read the digest (JSON with main results) from the HTML head of a report page; None if there is no digest."""
     try:
         with page.open("rb") as file:
             head = file.read(_HEAD_BYTES).decode("utf-8", errors="replace")
@@ -56,9 +56,10 @@ def read_page_digest(page: Path) -> dict[str, Any] | None:
 
 
 def find_page_of_study(study: StudyFile, n_run: int, n_failed: int) -> tuple[Path | None, list[float | None] | None]:
-    """Find a report beside a study that shows it as it is now, and the share of the space that it says is critical.
+    """Find an up-to-date report page beside a study, and read the critical share of the space from the page.
 
-    The share is its value and the bounds of its interval, or None if the page has none for the study's threshold.
+    The share is a list of value, lower and upper bound. It is None if the page has no share for the threshold of the
+    study. Both results are None if there is no up-to-date page.
     """
     identity = study_identity(study.path.name, study.meta, n_run, n_failed)
     for page in sorted(study.path.parent.glob("*.html")):

@@ -1,4 +1,4 @@
-"""Content of the report page as values for its JavaScript."""
+"""Content of the report page as JSON values for the scripts of the page."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ FORMAT_VERSION: Final = 1
 
 
 def page_payload(data: ReportData) -> dict[str, Any]:
-    """Return the content of the page, except recordings, as JSON values; None stands for unknown values."""
+    """Return the content of the report page, except recordings, as JSON values; None stands for unknown values."""
     return whole_study_payload(data) | scenario_payload(data)
 
 
 def scenario_payload(data: ReportData) -> dict[str, Any]:
-    """Return the part of `page_payload` about single scenarios, which grows with each run."""
+    """Return the part of the content of the report page that has values for each scenario, as JSON values."""
     meta, rows = data.summary.meta, _sorted_rows(data)
     indices = _row_indices(rows)
     done = [indices[row.id] for row in data.rows]
@@ -79,17 +79,17 @@ def scenario_payload(data: ReportData) -> dict[str, Any]:
 
 
 def _culprit(ego: str, impact: Impact) -> str | None:
-    """Return who is at fault for a collision of the ego, ``"both"`` or ``"undecided"``; None if that is not stored."""
+    """Return the name of the entity at fault for a collision, ``"both"`` or ``"undecided"``; None if not stored."""
     if impact.fault is None:
         return None
     return {"ego": ego, "other": impact.entity}.get(impact.fault.who, impact.fault.who)
 
 
 def score_source_column(meta: StudyMeta, others: Sequence[Sequence[str | None] | None]) -> dict[str, Any]:
-    """Return the column ``against``: for each scenario and metric, which other entity the score is measured against.
+    """Return the column ``against``: the other entity that each score is measured against, as index in ``meta.others``.
 
-    The values are indices of the study's other entities. The result is empty if there is only one. `others` has the
-    names; None stands for failed scenarios.
+    `others` has the name of the entity for each scenario and metric; None stands for a failed scenario. The result is
+    empty if the study has only one other entity.
     """
     if len(meta.others) == 1:
         return {}
@@ -98,7 +98,7 @@ def score_source_column(meta: StudyMeta, others: Sequence[Sequence[str | None] |
 
 
 def whole_study_payload(data: ReportData) -> dict[str, Any]:
-    """Return the part of `page_payload` that depends on all scenarios together."""
+    """Return the part of the content of the report page that depends on all scenarios together, as JSON values."""
     meta, rows = data.summary.meta, _sorted_rows(data)
     indices = _row_indices(rows)
     selected = () if data.summary.reduced_set is None else data.summary.reduced_set.scenarios
@@ -138,7 +138,7 @@ def whole_study_payload(data: ReportData) -> dict[str, Any]:
 
 
 def _verdicts_payload(data: ReportData) -> dict[str, dict[str, str]]:
-    """Return file, worst verdict and its reason of each scenario of a suite, by id; empty without requirements."""
+    """Return file, worst verdict and reason of this verdict for each scenario of a suite, by id."""
     files = data.summary.meta.files
     payload = {}
     for scenario, verdicts in data.verdicts.items():
@@ -152,7 +152,7 @@ def _verdicts_payload(data: ReportData) -> dict[str, dict[str, str]]:
 
 
 def study_info_payload(meta: StudyMeta, file_name: str) -> dict[str, Any]:
-    """Return the part of `page_payload` that is known before any scenario was run; `file_name` is the study's name."""
+    """Return title, roles, parameters and metrics of a study for the report page, as JSON values."""
     return {
         "format": FORMAT_VERSION,
         "title": meta.title,
@@ -213,7 +213,7 @@ def _courses_payload(data: ReportData, name: str, rows: Sequence[ScenarioRecord]
 
 
 def round_score(value: float) -> float | None:
-    """Round a score to six digits; None if it is not finite."""
+    """Round a score to six significant digits; None if the score is not finite."""
     return float(f"{value:.6g}") if math.isfinite(value) else None
 
 

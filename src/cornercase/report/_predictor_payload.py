@@ -1,4 +1,4 @@
-"""What the page needs to predict the score of any scenario itself, without a server."""
+"""Model of the score as JSON values, with which the report page predicts scores without a server."""
 
 from __future__ import annotations
 
@@ -22,9 +22,10 @@ _DISTRIBUTION_SAMPLES: Final = 129
 
 
 def predictor_payload(data: ReportData) -> dict[str, Any]:
-    """Return the parts ``predictor`` and ``predictor_missing`` (why there is none) of the page's contents.
+    """Return the model that predicts scores on the report page, as JSON values.
 
-    Both are empty if there is nothing to predict: for a Pareto front, a suite, an estimate, or too few scenarios.
+    The key ``predictor`` holds the model or None. ``predictor_missing`` explains a model that predicts too little; the
+    text is empty if there is no model at all: for a Pareto front, a suite, an estimate, or too few scenarios.
     """
     surrogate = data.summary.estimates.surrogate
     if surrogate is None or not data.summary.represents_space:
@@ -67,7 +68,7 @@ def _encode_predictor(surrogate: ScoreSurrogate, objective: Objective) -> dict[s
 
 
 def _unit_positions(parameter: Parameter) -> list[list[float]] | None:
-    """Values of a parameter and their positions in the unit interval; None for choices."""
+    """Return values of a parameter and their positions in the unit interval; None for a parameter with choices."""
     if parameter.choices:
         return None
     positions = np.linspace(0.0, 1.0, 2 if parameter.distribution is None else _DISTRIBUTION_SAMPLES)
@@ -77,7 +78,7 @@ def _unit_positions(parameter: Parameter) -> list[list[float]] | None:
 
 
 def _constrained_parameters(space: ParameterSpace) -> list[int]:
-    """Indices of the parameters that constraints of the scenario mention first."""
+    """Return the indices of the parameters whose values the scenario limits by constraints."""
     names = {declaration.name for declaration in space.declarations if declaration.constraint_groups}
     return [k for k, parameter in enumerate(space.parameters) if not names.isdisjoint(parameter.assigned_names)]
 

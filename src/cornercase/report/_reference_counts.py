@@ -1,4 +1,4 @@
-"""Results of reference drivers in the scenarios of a study."""
+"""Numbers of scenarios in which a reference driver (model of a careful driver) avoids a collision."""
 
 from __future__ import annotations
 
@@ -13,16 +13,17 @@ from cornercase.suite import Requirement
 
 @dataclass(frozen=True)
 class ReferenceCount:
-    """Number of scenarios by result, after they were run again with a reference driver driving the ego.
+    """Numbers of scenarios by result, after a second run in which a reference driver (a model) drives the ego.
 
     Attributes
     ----------
     n_prevented, n_colliding : int
-        Scenarios in which the reference avoids the collision, and in which it collides, too.
+        Number of scenarios in which the reference driver avoids the collision, and in which it collides, too.
     n_not_applicable : int
-        Scenarios outside the model of the reference.
+        Number of scenarios for which the reference driver is not defined.
     n_colliding_later : int
-        Of the prevented ones, those with a collision that the regulation does not count.
+        Number of scenarios counted in `n_prevented` in which the reference driver has a collision that the regulation
+        does not count.
 
     Examples
     --------
@@ -46,7 +47,7 @@ class ReferenceCount:
 
 
 def count_reference_results(study: StudyFile) -> dict[str, ReferenceCount]:
-    """Count the results of each reference driver that the condition or requirements of an open study name."""
+    """Count results of each reference driver (model) named in the condition or requirements of an open study."""
     meta = study.meta
     with reraise_as_damage(study.path):
         condition = meta.condition
@@ -67,7 +68,7 @@ def count_reference_results(study: StudyFile) -> dict[str, ReferenceCount]:
 
 
 def describe_references(references: Mapping[str, ReferenceCount]) -> str:
-    """Describe the results of reference drivers, one sentence for each; each sentence begins with a space."""
+    """Describe the results of reference drivers, by name, as sentences; each sentence begins with a space."""
     sentences = []
     for name, count in references.items():
         avoided = count.n_prevented - count.n_colliding_later

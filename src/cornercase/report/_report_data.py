@@ -41,26 +41,26 @@ class ReportData:
 
     file_name: str  # name of the study's file
     summary: Summary
-    rows: tuple[ScenarioRecord, ...]  # run scenarios
+    rows: tuple[ScenarioRecord, ...]  # scenarios that ran
     failed: tuple[ScenarioRecord, ...]  # failed scenarios
     metrics: tuple[Metric, ...]
     scores: Mapping[str, FloatArray]  # by metric, shape (n,)
-    reference_other: str  # the other whose clusters are described
+    reference_other: str  # most important other entity, for which outcomes are described
     score_sources: Mapping[
         str, Mapping[int, str | None]
-    ]  # other a score belongs to, by metric and id; empty with one other
+    ]  # other entity that a score is measured against, by metric and id; empty if there is only one
     times: Mapping[int, FloatArray]  # instants of each recording by id, in s, shape (T,); only for figures
     time_spans: Mapping[int, tuple[float, float]]  # begin and end of each recording by id, in s
     course_lines: Mapping[str, Mapping[int, FloatArray]]  # resampled courses by metric and id, shape (COURSE_POINTS,)
     courses: Mapping[str, Mapping[int, Float32Array]]  # capped courses by metric and id, shape (T,); only for figures
-    entities_hit: Mapping[int, frozenset[str]]  # entities the ego collides with, by id
+    entities_hit: Mapping[int, frozenset[str]]  # entities that the ego collides with, by id
     impacts: Mapping[int, Sequence[Impact]]  # collisions of the ego, by id
-    approaches: Mapping[int, NearMiss]  # by id: how near the ego came to one of the others, if it met one
+    approaches: Mapping[int, NearMiss]  # closest approach of the ego to one of the others, by id
     examples: Mapping[int, Recording]  # recordings of the clusters' examples, by id
     values: FloatArray  # parameters, shape (n, d); indices for choices
     influential_parameters: tuple[
         int, ...
-    ]  # parameters by influence on the first metric; the first two in their own order
+    ]  # indices of parameters, the most influential on the first metric first; the first two are sorted
     is_critical: BoolArray  # shape (n,); all False without a threshold
     coverage_curves: Mapping[str, CoverageCurves]  # by aspect; empty before the study was reduced
     verdicts: Mapping[int, Sequence[Verdict]]  # by id, one per requirement; empty without requirements
@@ -68,23 +68,23 @@ class ReportData:
     outcomes: Mapping[int, str]  # endings by id; empty before the study was analyzed
     notes: Mapping[int, str]  # user notes by id
     missed_fractions: tuple[MissedFractionAfter, ...]  # empty if unknown
-    fixed_parameters: Mapping[str, str]  # those of the scenario file that were not varied; empty if it was not found
+    fixed_parameters: Mapping[str, str]  # parameters of the scenario file that were not varied
     region: Region | None  # x_min, y_min, x_max, y_max around all motion, with a margin, in m
 
     @property
     def parameters(self) -> Sequence[Parameter]:
-        """Parameters of the space."""
+        """Parameters of the explored space."""
         return self.summary.meta.space.parameters
 
     @property
     def collides(self) -> BoolArray:
-        """Whether the ego touches one of the others, by row, shape (n,)."""
+        """True for each row in which the ego collides with an entity it is measured against, shape (n,)."""
         others = self.summary.meta.others
         return np.array([not self.entities_hit[row.id].isdisjoint(others) for row in self.rows], dtype=np.bool_)
 
     @cached_property
     def hardest_impacts(self) -> dict[int, Impact]:
-        """The ego's fastest collision in each scenario with one, by id."""
+        """Fastest collision of the ego in each scenario with a collision, by id."""
         return {
             scenario: max(hits, key=lambda impact: np.nan_to_num(impact.speed))
             for scenario, hits in self.impacts.items()
@@ -93,16 +93,16 @@ class ReportData:
 
     @property
     def hardest_first(self) -> list[tuple[int, Impact]]:
-        """`hardest_impacts` as pairs of id and collision, the fastest first."""
+        """Fastest collision of the ego in each scenario with a collision: pairs of id and collision, fastest first."""
         return sorted(self.hardest_impacts.items(), key=lambda item: (-np.nan_to_num(item[1].speed), item[0]))
 
     def metric_for_aspect(self, aspect: str) -> Metric:
-        """Return the metric with the name of the aspect, or the first metric if there is none."""
+        """Return the metric named like an aspect (what scenarios are compared by), or else the first metric."""
         names = [metric.name for metric in self.metrics]
         return self.metrics[names.index(aspect) if aspect in names else 0]
 
     def row_indices(self, ids: Sequence[int]) -> IntArray:
-        """Return the row indices of scenarios with these ids, shape (m,)."""
+        """Return the row indices of the scenarios with the given ids, shape (m,)."""
         index_by_id = {row.id: k for k, row in enumerate(self.rows)}
         return np.array([index_by_id[scenario] for scenario in ids], dtype=np.int64)
 
@@ -115,11 +115,11 @@ def read_report_data(
     memory: MemoryLimit | None = None,
     on_read: Callable[[int], None] | None = None,
 ) -> ReportData:
-    """Read all data of a report, without unpacking recordings; InputError if the data exceed the memory limit.
+    """Read all data that the report of a study shows; InputError if the data exceed the memory limit.
 
-    `figures` also reads the courses of metrics at full length. Without `charts`, what sentences do not need is left
-    out: courses, examples, coverage curves, and what a search had missed after each number of scenarios. `on_read` is
-    called with the number of scenarios read so far.
+    With `figures`, the courses (values of metrics over time) are read at full length, too. Without `charts`, only the
+    data that sentences need are read: no courses, no recordings of examples, no coverage curves and no missed fractions
+    during the search. `on_read` is called with the number of scenarios read so far.
     """
     rows = study.finished_rows()
     metrics = study.meta.create_metrics()
@@ -148,7 +148,7 @@ def read_report_data(
         region = _union_region(region, digest.bounds)
         if on_read is not None:
             on_read(count + 1)
-    # One recording at a time: those of a large study would not fit into memory.
+    # One recording at a time: all recordings of a large study would not fit into memory.
     for scenario, recording, score_courses in study.iter_recordings() if figures else ():
         # Most scenarios share the same instants.
         times[scenario] = shared_times.setdefault(recording.time.tobytes(), recording.time)
@@ -190,7 +190,7 @@ def read_report_data(
 
 
 def _read_fixed_parameters(study: StudyFile) -> dict[str, str]:
-    """Read the parameters of the scenario file that were not varied; empty if the file is not beside the study."""
+    """Read the parameters of the scenario file that were not varied; empty if the file is not found."""
     with suppress(InputError):
         scenario = None if study.meta.suite else find_explored_scenario(study, search_remembered_path=False)
         if scenario is not None:
@@ -229,9 +229,10 @@ def _read_examples(study: StudyFile, analyses: Mapping[str, Analysis]) -> dict[i
 
 
 def order_by_influence(values: FloatArray, scores: FloatArray) -> tuple[int, ...]:
-    """Return the order of parameters by influence on the score, the strongest first.
+    """Return the indices of the parameters, ordered by influence on the score, the most influential first.
 
-    Influence is the fraction of the score's variance that ten quantile bins of the parameter explain.
+    The two most influential parameters come in the order of the columns of `values`. Influence is the fraction of the
+    variance of the score that ten quantile bins of the parameter explain. Shapes: `values` (n, d), `scores` (n,).
     """
     shares = []
     for column in values.T:

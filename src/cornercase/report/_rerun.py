@@ -1,4 +1,4 @@
-"""Show how to run one scenario of a study again: its command and its concrete scenario file."""
+"""Command and concrete scenario file with which one scenario of a study is run again."""
 
 from __future__ import annotations
 
@@ -31,11 +31,12 @@ _BUILTIN: Final = "builtin"
 def rerun_payload(
     study: StudyFile, scenario: Path | str | ScenarioFile | None = None, *, include_file: bool = True
 ) -> dict[str, Any]:
-    """Return what the page needs to show how a scenario is run again: name, optimizer key, command, scenario file.
+    """Return the JSON values with which the page shows how a scenario is run again.
 
-    ``command`` holds the words before and after the parameters; if it is None, ``why`` says why. ``file`` holds the
-    pieces of the scenario file between its ``slots``; if it is None, ``file_why`` says why. Without `include_file` the
-    file is left out, because a server provides it.
+    ``command`` holds the words before and after the parameters. If it is None, ``why`` explains it. ``file`` holds the
+    scenario file, cut at ``slots``: the positions of parameter values. If it is None, ``file_why`` explains it. Without
+    `include_file` the file is left out, because a server provides it. ``key`` identifies the study, so that the
+    browser can store notes of the user.
     """
     meta = study.meta
     why = _reason_without_command(meta)
@@ -59,7 +60,8 @@ def rerun_payload(
             "files": [_as_argument(file) for file in meta.files] if meta.suite else [],
         },
         "why": why,
-        # Whether `reduce --ids` can write scenarios of it: a suite has one file for each, imported recordings none.
+        # True if `reduce --ids` can write scenario files of this study. A suite already has a file for each scenario;
+        # imported recordings have none.
         "has_scenario": meta.simulator != IMPORTED_SIMULATOR and not meta.suite,
         "file": pieces,
         "file_why": file_why or ("" if pieces or not include_file else "The scenario needs a file that was not found."),
@@ -67,12 +69,12 @@ def rerun_payload(
 
 
 def _as_argument(file: str) -> str:
-    """Return a file name that is not read as an option."""
+    """Return a file name as a command line argument that is not read as an option."""
     return f"./{file}" if file.startswith("-") else file
 
 
 def _find_scenario(study: StudyFile, given: Path | str | ScenarioFile | None) -> tuple[ScenarioFile | None, str]:
-    """Return the scenario file that was explored, or None and the reason why it was not found."""
+    """Return the scenario file that a study explored and an empty text, or None and the reason."""
     try:
         scenario = find_explored_scenario(study, given)
     except InputError:
@@ -90,7 +92,7 @@ def read_selection_reasons(study: StudyFile) -> dict[int, str]:
 def render_concrete_scenario(
     meta: StudyMeta, scenario: ScenarioFile, row: ScenarioRecord, selection_reason: str | None
 ) -> bytes:
-    """Return the concrete scenario file (UTF-8 XML) of a scenario, as `reduce` writes it."""
+    """Return the concrete scenario file of a scenario (UTF-8 XML), with the same content that `reduce` writes."""
     return _fill_scenario(meta, scenario, row.values, _describe_scenario(meta, str(row.id), selection_reason))
 
 
@@ -131,7 +133,7 @@ def _fill_scenario(meta: StudyMeta, scenario: ScenarioFile, values: Mapping[str,
 def _split_at_values(
     meta: StudyMeta, scenario: ScenarioFile, selection_reasons: Mapping[int, str]
 ) -> dict[str, Any] | None:
-    """Split the scenario file at its parameter values and its description, so that a page can insert others."""
+    """Split a scenario file at its parameter values and its description, so that a page can insert other texts."""
     parameters = meta.space.parameters
     mark = "$cornercase"
     source = etree.tostring(scenario.root).decode()
@@ -141,7 +143,7 @@ def _split_at_values(
     try:
         text = _fill_scenario(meta, scenario, marks, f"{mark}:n:").decode()
     except (InputError, UnicodeDecodeError):
-        # A file that it needs is missing.
+        # A file that the scenario file needs is missing.
         return None
     first, *rest = text.split(f"{mark}:")
     slots = [piece.partition(":")[0] for piece in rest]

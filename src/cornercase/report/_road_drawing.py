@@ -1,4 +1,4 @@
-"""Find the road of a scenario, and encode a drawing of it for the page."""
+"""Outline of the road of a scenario, encoded as a drawing for the page."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ def find_road_outline(
 ) -> tuple[RoadOutline | None, str]:
     """Return the outline of the road in `region`, or None and a sentence that explains why there is none.
 
-    The road is found through the scenario file: `scenario`, or the file beside the study. `values` are the parameters
-    of a scenario; one of them may name the road file. The sentence contains no paths. InputError if `scenario` is not
-    the file that was explored.
+    The scenario file names the road; it is `scenario`, or by default the file beside the study. `values` are the
+    parameter values of a scenario, since a parameter may choose the road file. The sentence contains no paths.
+    InputError if `scenario` is not the file that was explored.
     """
     if region is None:
         return None, ""
@@ -64,7 +64,7 @@ def find_road_outline(
 
 
 def is_missing_map(reason: str) -> bool:
-    """Return whether the explanation of `find_road_outline` is that a map is missing from the map folders."""
+    """Return whether `reason`, a sentence from `find_road_outline`, says that a map is missing in the map folders."""
     return MAPS_VARIABLE in reason
 
 
@@ -88,7 +88,7 @@ def _describe_missing_scenario(study: StudyFile, name: str) -> str:
 
 
 def recorded_bounds(recordings: Iterable[Recording]) -> Region | None:
-    """Return the bounding box of all positions in m, with the margin for drawing the road; None if nothing exists."""
+    """Return the bounding box of all positions in m, enlarged by 40 m on each side; None if there are no positions."""
     boxes = [box for recording in recordings if (box := find_bounds(recording)) is not None]
     if not boxes:
         return None
@@ -97,7 +97,7 @@ def recorded_bounds(recordings: Iterable[Recording]) -> Region | None:
 
 
 def add_road_margin(bounds: Region | None) -> Region | None:
-    """Enlarge a bounding box by the margin for drawing the road."""
+    """Enlarge a bounding box by 40 m on each side, so that the road is drawn up to this distance; None stays None."""
     if bounds is None:
         return None
     x_min, y_min, x_max, y_max = bounds
@@ -105,7 +105,11 @@ def add_road_margin(bounds: Region | None) -> Region | None:
 
 
 def encode_road_outline(sketch: RoadOutline) -> dict[str, Any]:
-    """Encode a road outline for the page: ``origin`` in m; for each shape, its kind and differences of points in cm."""
+    """Encode the outline of a road as JSON values for the page.
+
+    ``origin`` is a point in m. ``areas`` and ``lines`` hold the kind of each shape and the steps between its points in
+    cm, as a flat list of x and y.
+    """
     shapes = [*sketch.areas, *sketch.lines]
     origin = np.rint(shapes[0][1][0]) if shapes else np.zeros(2)
 

@@ -1,4 +1,4 @@
-"""The sentences of the page as lines of text."""
+"""Sentences of the report page as lines of plain text."""
 
 from __future__ import annotations
 
@@ -11,7 +11,10 @@ from cornercase.study import StudyFile
 
 
 def iter_sentences(study: StudyFile) -> Iterator[str]:
-    """Yield what was run, then each question of the page with its answer; nothing before a scenario was run."""
+    """Yield lines of text: description of the study, then each question of the report with its answer.
+
+    Nothing is yielded before a scenario was run.
+    """
     if not study.finished_rows():
         return
     data = read_report_data(study, charts=False)
@@ -23,7 +26,7 @@ def iter_sentences(study: StudyFile) -> Iterator[str]:
 
 
 def describe_selected_dangers(study: StudyFile, ids: Sequence[int]) -> str:
-    """Say how many of the scenarios with these ids are critical, and in how many the ego collides."""
+    """Describe how many of the scenarios with the given ids are critical, and in how many the ego collides."""
     selected = set(ids)
     is_critical = zip(study.finished_rows(), study.critical_mask(), strict=True)
     n_critical = (

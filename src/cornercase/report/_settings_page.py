@@ -1,4 +1,4 @@
-"""Page on which settings of the clustering are chosen: what gamma and eps do, as one HTML file."""
+"""HTML page that shows the effect of the clustering settings gamma and eps, to choose them by hand."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from cornercase.study._study_file import open_study
 _STYLES: Final = ("style.css", "settings.css")
 _SCRIPTS: Final = ("clipboard.js", "colours.js", "settings.js")
 _POLICY: Final = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:"
-# Label of noise in the page's bytes.
+# Byte that stands for the label of noise in the page.
 _NOISE_BYTE: Final = 255
 
 
@@ -39,21 +39,22 @@ def write_settings_page(
     *,
     progress: bool = False,
 ) -> Path:
-    """Write a page that shows what the settings of the clustering do, and on which one can choose them.
+    """Write an HTML page that shows the effect of the clustering settings, so that an engineer can choose them.
 
-    For each aspect, the page has a map over gamma and eps: number of clusters, share of noise, stability, agreement
-    with the outcome, and the share of each metric's variance that the clusters explain. For each cell it shows the
-    clusters in the parameter space and in kernel space, and the command that sets gamma and eps by hand. The study is
-    not changed. The agreement of settings that were chosen by their agreement is no evidence, and the page says so.
+    For each aspect (what scenarios are compared by), the page has a map over gamma and eps: number of clusters, share
+    of noise, stability, agreement with the outcome, and the share of each metric's variance that the clusters explain.
+    For each cell of the map, the page shows the clusters in the parameter space and in kernel space, and the command
+    that sets this gamma and eps. The study is not changed. If settings are chosen because of their high agreement, this
+    agreement is no evidence, and the page says so.
 
     Parameters
     ----------
     study : Study, StudyFile or path
-        Analyzed before. Of more than 500 scenarios, a random sample of 500 is clustered.
+        Study that was analyzed before. If it has more than 500 scenarios, a random sample of 500 is clustered.
     path : path
         Page to write; the name ends with ``.html`` or ``.htm``. The same study gives the same bytes.
     by : sequence of str, optional
-        Aspects; by default all that the study was analyzed by.
+        Aspects to show; by default all aspects by which the study was analyzed.
     progress : bool, default False
         Show a progress bar.
 
@@ -69,7 +70,7 @@ def write_settings_page(
 
     See Also
     --------
-    cornercase.analyze : Clusters with the chosen settings.
+    cornercase.analyze : Cluster with the chosen settings.
 
     Examples
     --------
@@ -81,10 +82,10 @@ def write_settings_page(
     with open_study(study, readonly=True) as opened:
         check_output_differs_from_source(path, opened.path)
         if path.suffix.lower() not in (".html", ".htm"):
-            raise InputError(f"{path}: is no name of a page; name a file that ends with .html.")
+            raise InputError(f"{path}: is not the name of a page; give a file name that ends with .html.")
         aspects = tuple(by) or tuple(opened.analyzed_aspects())
         if not aspects:
-            raise InputError(f"{opened.path}: was not analyzed yet; 'cornercase analyze' does it.")
+            raise InputError(f"{opened.path}: was not analyzed yet; run 'cornercase analyze' first.")
         page = _render_page(opened, aspects, progress)
     write_page(path, page)
     return path
@@ -182,7 +183,7 @@ def _aspect_payload(
 
 
 def _index_of_usual(settings_map: SettingsMap, chosen: int) -> int:
-    """Index of the study's own min_samples, or else of the middle one."""
+    """Return the index of `chosen`, the study's own min_samples, in the map of settings; else the middle index."""
     counts = settings_map.min_samples
     return counts.index(chosen) if chosen in counts else len(counts) // 2
 
@@ -192,7 +193,7 @@ def _label_bytes(labels: IntArray) -> bytes:
 
 
 def _plane(embedding: FloatArray) -> list[list[float]]:
-    """First two components, by component."""
+    """Return the first two components of an embedding (n, d) as two lists; a missing component is filled with zeros."""
     padded = np.zeros((2, len(embedding)))
     padded[: min(2, embedding.shape[1])] = embedding[:, :2].T
     return [[round(x, 4) for x in component] for component in padded.tolist()]

@@ -1,4 +1,4 @@
-"""What a run of a suite did not test, of the study that the suite was made from."""
+"""Sentences about the scenarios and kinds of a study that a suite made from the study does not test."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ _MAX_KINDS: Final = 6
 
 
 def describe_suite_gaps(study: StudyFile, earlier: StudyFile, sources: Collection[int]) -> Iterator[str]:
-    """Yield what the run of a suite did not test; `earlier` is the study that the suite was made from.
+    """Yield sentences about what `study`, the run of a suite, did not test.
 
-    `sources` are the scenarios of `earlier` that the suite has.
+    `earlier` is the study that the suite was made from. `sources` are the ids in `earlier` of the scenarios that the
+    suite contains. Nothing is yielded if `earlier` is a run of the suite, too.
     """
     if earlier.meta.suite:
         return
@@ -40,7 +41,7 @@ def describe_suite_gaps(study: StudyFile, earlier: StudyFile, sources: Collectio
 
 
 def _describe_missing_kinds(study: StudyFile, earlier: StudyFile, sources: Collection[int]) -> Iterator[str]:
-    """Yield the kinds of the earlier study that no scenario of the suite is of."""
+    """Yield a sentence about the kinds (named clusters) of the earlier study that are missing from the suite."""
     by, labels, sizes = _find_kinds(study, earlier)
     if by is None:
         return
@@ -58,11 +59,15 @@ def _describe_missing_kinds(study: StudyFile, earlier: StudyFile, sources: Colle
 
 
 def _find_kinds(study: StudyFile, earlier: StudyFile) -> tuple[str | None, Mapping[int, str], Mapping[str, int]]:
-    """Return the aspect whose kinds the suite names, the kind of each scenario, and the size of each kind."""
+    """Find the aspect (what scenarios are compared by) whose kinds (named clusters) the suite names.
+
+    Return the aspect, the kind of each scenario of the earlier study by id, and the size of each kind. The aspect is
+    None if the suite names no kind of the earlier study.
+    """
     named = set(study.meta.kinds) - {""}
     best: tuple[int, str | None, dict[int, str], dict[str, int]] = (0, None, {}, {})
     analyses: Mapping[str, Any] = read_analyses(earlier)
-    # If aspects share names, the one that the study was reduced by counts.
+    # If several aspects have kinds of the same names, the aspect that the study was reduced by counts.
     reduced_by = (earlier.read_reduction() or {}).get("by")
     for by, analysis in sorted(analyses.items(), key=lambda item: item[0] != reduced_by):
         label_of = {profile.cluster: profile.label for profile in analysis.profiles if profile.cluster >= 0}

@@ -1,4 +1,4 @@
-"""Summarize a study."""
+"""Function `summarize`: main results of a study as typed values."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from cornercase.study._study_file import open_study
 
 @suggest_arguments
 def summarize(study: StudyFile | Path | str, *, critical: float | None = None) -> Summary:
-    """Summarize what was run in a study, and what was found.
+    """Summarize the scenarios that were run in a study and their results.
 
     Parameters
     ----------
     study : Study, StudyFile or path
         An open study, or its file; it is only read.
     critical : float, optional
-        Score from which a scenario is critical, in the unit of the objective; default: that of the study.
+        Score from which a scenario is critical, in the unit of the objective; by default the threshold of the study.
 
     Returns
     -------
     Summary
-        Typed values; ``print`` shows what ``cornercase show`` says.
+        Typed values; ``print`` shows the same text as ``cornercase show``.
 
     Raises
     ------
@@ -35,7 +35,7 @@ def summarize(study: StudyFile | Path | str, *, critical: float | None = None) -
 
     See Also
     --------
-    cornercase.write_report : The same with figures, for people.
+    cornercase.write_report : Write the same results with figures as a page.
 
     Examples
     --------
@@ -50,7 +50,7 @@ def summarize(study: StudyFile | Path | str, *, critical: float | None = None) -
 
 
 def _describe(study: Path, critical: float | None) -> str:
-    """Return what ``cornercase show`` says of a study; an empty text if it was removed or has no results."""
+    """Return the text that ``cornercase show`` prints for a study; empty if the file was removed or has no results."""
     if not study.exists():
         return ""
     # A summary alone needs no sentences.

@@ -1,4 +1,4 @@
-"""Summary of a study as typed values."""
+"""Class `Summary`: main results of a study as typed values."""
 
 from __future__ import annotations
 
@@ -29,34 +29,36 @@ from cornercase.study._criticality_order import order_by_criticality
 from cornercase.study._damage import require_value, reraise_as_damage
 from cornercase.study._objective import Objective
 
-# Reasons that somebody may still read.
+# Longest list of reasons that somebody may still read.
 _MAX_REASONS: Final = 20
 
 
 @dataclass(frozen=True)
 class MetricSummary:
-    """Scores of the scenarios that were run, by one metric.
+    """Summary of the scores of all scenarios that were run, by one metric.
 
     Attributes
     ----------
     name, unit : str
-        The unit ``"1"`` means no unit.
+        Name and unit of the metric; the unit ``"1"`` means no unit.
     lower_is_critical : bool
+        True if lower scores are more critical.
     most_critical, median : float
-        In the unit of the metric.
+        Most critical and median score, in the unit of the metric.
     most_critical_id : int
-        Id of the most critical scenario; of several with this score, that with the fastest collision of the ego.
+        Id of the scenario with the most critical score. If several have this score: the scenario in which the ego has
+        the fastest collision.
     parameters : mapping of str to float or str
         Parameters of the most critical scenario.
     repeat_spread : tuple of float, or None
-        Median and largest difference between the scores of repeated runs of a scenario. None if each scenario was run
-        once.
+        If each scenario was run several times: median and maximum, over the scenarios, of the difference between the
+        highest and the lowest score of a scenario. Else None.
     constant_note : str
         A message if all scenarios have the same score; else empty.
     most_critical_other : str or None
         If there are several other entities: the entity that the most critical score is measured against. Else None.
     scores_per_other : mapping of str to int
-        If there are several other entities: the number of scores that are measured against each. Else empty.
+        If there are several other entities: the number of scores that are measured against each of them. Else empty.
 
     Examples
     --------
@@ -81,16 +83,16 @@ class MetricSummary:
 
 @dataclass(frozen=True)
 class FailureSummary:
-    """Scenarios that failed for one reason.
+    """Summary of the scenarios of a study that failed for the same reason.
 
     Attributes
     ----------
     n_scenarios : int
-        Number of scenarios.
+        Number of scenarios that failed for this reason.
     first_id : int
-        Id of the first scenario.
+        Id of the first of these scenarios.
     parameters : mapping of str to float or str
-        Parameters of the first scenario.
+        Parameters of the first of these scenarios.
 
     Examples
     --------
@@ -106,7 +108,9 @@ class FailureSummary:
 
 @dataclass(frozen=True, repr=False)
 class Summary:
-    """What was run in a study, and what was found; `str` is what ``cornercase show`` says of the file now.
+    """Summary of the scenarios that were run in a study and their results.
+
+    `str` returns the text that ``cornercase show`` prints for the file of the study now.
 
     Attributes
     ----------
@@ -115,37 +119,38 @@ class Summary:
     objective : str
         Objective of the search: a metric, a weighted sum, or the front of several metrics.
     n_run, n_failed, n_pending : int
-        Number of scenarios.
+        Number of scenarios that were run, that failed, and that were not run yet.
     n_collisions : int
         Number of scenarios in which the ego collides with an entity it is measured against.
     faults : mapping of str to int
-        Number of scenarios in which the ego collides, by whose fault its first collision is: ``"ego"``, ``"other"``,
-        ``"both"``, ``"undecided"``. Empty without collisions.
+        Number of scenarios in which the ego collides, by who is at fault for its first collision: ``"ego"``,
+        ``"other"``, ``"both"``, ``"undecided"``. Empty without collisions.
     unmeasured_collisions : mapping of str to int
         Number of scenarios in which the ego collides with an entity it is not measured against, by entity.
     metrics : mapping of str to MetricSummary
-        Empty before a scenario was run.
+        Summary of the scores by metric; empty before a scenario was run.
     analyses : mapping of str to Analysis
-        By aspect.
+        Clustering by aspect (what the scenarios are compared by).
     agreements : mapping of (str, str) to Agreement
-        For each pair of aspects that the same scenarios were analyzed by.
+        Agreement of the clusterings by two aspects, for each pair of aspects by which the same scenarios were analyzed.
     seconds_by_stage : mapping of str to float
         Time spent by stage, in s.
     estimates : SpaceEstimates
         Estimates about the whole space.
     reduced_set : ReducedSet or None
-        None before the study was reduced.
+        Scenarios that were selected as tests; None before the study was reduced.
     probability : mapping of str to object, or None
         Result of `cornercase.exploration.estimate`, in the form of its ``to_json``; None if the study is not an
         estimate.
     references : mapping of str to ReferenceCount
-        Results of the reference drivers that the condition or a requirement names, by name.
+        Results of the reference drivers (models of careful drivers) that the condition or a requirement names, by name.
     failures : mapping of str to FailureSummary
-        By reason, the most frequent first.
+        Failed scenarios by reason, the most frequent reason first; at most 20 reasons.
     bands : mapping of str to Bands
         Bands of criticality by metric, without metrics whose scores are all the same.
     replies : ReplyCounts or None
-        What the ego did about its collisions, and what else would have avoided them; None without collisions.
+        Numbers of collisions by how the ego braked, and by what would have avoided them. None without collisions, or if
+        no motion is known.
 
     Examples
     --------
@@ -180,11 +185,11 @@ class Summary:
     bands: Mapping[str, Bands] = field(default_factory=dict)
     replies: ReplyCounts | None = None
     _describe: Callable[[], str] = field(default=str, compare=False)
-    """Returns what ``cornercase show`` says; an empty text if nothing."""
+    """Function that returns the text of ``cornercase show``, which may be empty."""
 
     @property
     def represents_space(self) -> bool:
-        """Whether scenarios were searched or imported, not of a suite or an estimate, which leave nothing to reduce."""
+        """True if scenarios were searched or imported, False for the run of a suite or an estimate of a probability."""
         return not self.meta.suite and self.probability is None
 
     def __str__(self) -> str:
@@ -206,7 +211,7 @@ class Summary:
         return f"<Summary of {', '.join(parts)}>"
 
     def _repr_html_(self) -> str:
-        """The sentences, a table of the metrics, the clusters and the reduced set, for notebooks."""
+        """Return sentences, a table of the metrics, the clusters and the reduced set as HTML, for notebooks."""
         import pandas as pd
 
         metrics = pd.DataFrame(
@@ -228,7 +233,7 @@ class Summary:
 
 
 def entities_hit_by_ego(meta: StudyMeta, collisions: Iterable[Collision]) -> frozenset[str]:
-    """Return the names of all entities that the ego collides with."""
+    """Return the names of all entities that the ego collides with in one scenario."""
     hits = (collision.entities for collision in collisions if meta.ego in collision.entities)
     return frozenset(name for pair in hits for name in pair if name != meta.ego)
 
@@ -236,10 +241,10 @@ def entities_hit_by_ego(meta: StudyMeta, collisions: Iterable[Collision]) -> fro
 def summarize_with_collisions(
     study: StudyFile, entities_hit: Sequence[frozenset[str]], impacts: Sequence[Sequence[Impact]]
 ) -> Summary:
-    """Summarize a study like `summarize`, with known collisions, so that they need not be read again.
+    """Summarize an open study like `summarize`, with collisions that the caller has already read.
 
     For each scenario that ran, `entities_hit` has the names of the entities that the ego collides with, and `impacts`
-    its collisions with the others of the study.
+    has the collisions of the ego.
     """
     states = [row.state for row in study.rows()]
     others = frozenset(study.meta.others)
@@ -274,7 +279,7 @@ def summarize_with_collisions(
 
 
 def _count_faults(impacts: Sequence[Sequence[Impact]]) -> dict[str, int]:
-    """Count the scenarios with a collision of the ego by whose fault the first one is."""
+    """Count the scenarios with a collision of the ego by who is at fault for the first collision."""
     first = [hits[0].fault for hits in impacts if hits]
     counts = Counter(fault.who for fault in first if fault is not None)
     return {who: counts[who] for who in get_args(Culprit)} if counts else {}
