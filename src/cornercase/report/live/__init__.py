@@ -1,1 +1,1 @@
-"""Live page of a study that is still growing."""
+"""Live page: report of a study that grows while scenarios are run."""

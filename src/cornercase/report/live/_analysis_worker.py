@@ -1,4 +1,4 @@
-"""Background thread that computes the analysis part of the live page again when the study changes."""
+"""Background thread that computes the analysis shown on the live page again whenever the study changes."""
 
 from __future__ import annotations
 
@@ -36,21 +36,21 @@ _EXTRA_MARGIN: Final = 60.0
 
 @dataclass(frozen=True)
 class PageAnalysis:
-    """Analysis part of the live page at one moment."""
+    """Analysis (results from all scenarios together) of the live page at one moment."""
 
-    epoch: str = ""  # study, as `StudyFollower.epoch`; empty for none
+    epoch: str = ""  # identifier of the study (`StudyFollower.epoch`); empty without a study
     revision: int = 0  # grows with each change
     layout_revision: int = 0  # grows with each change of clusters, outcomes or the reduced set
-    parts: dict[str, Any] = field(default_factory=dict)  # study payload with the HTML of the details; empty at first
+    parts: dict[str, Any] = field(default_factory=dict)  # page contents with detail sections as HTML; empty at first
     outcomes: dict[int, str] = field(default_factory=dict)  # endings by id
 
     def for_epoch(self, epoch: str) -> PageAnalysis:
-        """Return this analysis if it belongs to `epoch` (identifier of the followed study), else an empty analysis."""
+        """Return this analysis if it belongs to the study with the identifier `epoch`, else an empty analysis."""
         return self if self.epoch == epoch else PageAnalysis(epoch, self.revision, self.layout_revision)
 
 
 class RoadAndRerunCache:
-    """Caches the drawing of the road, and draws it again only when scenarios leave the drawn region."""
+    """Cache for the drawing of the road, which is drawn again only when scenarios leave the drawn region."""
 
     def __init__(self, scenario: Path | None) -> None:
         self._scenario = scenario
@@ -60,7 +60,7 @@ class RoadAndRerunCache:
         self._warned: set[str] = set()
 
     def payload(self, study: StudyFile, data: ReportData) -> dict[str, Any]:
-        """Return the parts ``roads``, ``roads_missing`` and ``rerun`` of the page's contents."""
+        """Return the drawing of the road and the commands to run scenarios again, as JSON values for the page."""
         new, old = data.region, self._region
         is_known = study.meta.fingerprint == self._fingerprint and bool(self._roads.get("roads"))
         if not is_known or not _contains_region(old, new):
@@ -85,9 +85,9 @@ def _contains_region(outer: Region | None, inner: Region | None) -> bool:
 
 
 class AnalysisWorker:
-    """Computes the analysis in a thread whenever the study changes, with pauses between computations.
+    """Thread that computes the analysis of a followed study again whenever the study changes, with pauses in between.
 
-    `latest` is the last result. It never covers more scenarios than the follower has read.
+    `latest` is the last result. It never contains more scenarios than the follower has read.
     """
 
     def __init__(self, follower: StudyFollower, scenario: Path | None = None) -> None:
@@ -102,7 +102,7 @@ class AnalysisWorker:
         self._thread.start()
 
     def stop(self) -> None:
-        """Stop without waiting for the current computation."""
+        """Tell the thread to stop, without waiting for the current computation."""
         self._stop_event.set()
 
     def _run(self) -> None:
@@ -121,7 +121,7 @@ class AnalysisWorker:
             self._stop_event.wait(max(_MIN_INTERVAL, _INTERVAL_FACTOR * (time.monotonic() - start)))
 
     def _wait_for_follower(self, epoch: str, n_scenarios: int) -> bool:
-        """Wait until the follower has read `n_scenarios` scenarios; False if study or worker ended meanwhile."""
+        """Wait until the follower has read `n_scenarios`; False if the study was replaced or the worker stopped."""
         while self._follower.epoch == epoch and not self._stop_event.is_set():
             if self._follower.state.ended >= n_scenarios:
                 return True
@@ -142,7 +142,7 @@ class AnalysisWorker:
 
 
 def _key_by_id(clusters: dict[str, Any], ids: list[int]) -> dict[str, Any]:
-    """Key the clusters by scenario id instead of row, because rows may be added before the page asks."""
+    """Key labels and embedding by scenario id instead of row, because rows may be added before the page loads them."""
     assigned = [k for k, label in enumerate(clusters["labels"]) if label is not None]
     return clusters | {
         "labels": {ids[k]: clusters["labels"][k] for k in assigned},
@@ -150,13 +150,13 @@ def _key_by_id(clusters: dict[str, Any], ids: list[int]) -> dict[str, Any]:
     }
 
 
-def _analyze_study(path: Path, surroundings: RoadAndRerunCache) -> tuple[dict[str, Any], dict[int, str]] | None:
+def _analyze_study(path: Path, road_cache: RoadAndRerunCache) -> tuple[dict[str, Any], dict[int, str]] | None:
     # The explorer continues to write; its write-ahead log grows during this snapshot.
     with StudyFile.open(path, readonly=True) as study, study.snapshot():
         if not study.finished_rows():
             return None
         data = read_report_data(study)
-        road_and_rerun = surroundings.payload(study, data)
+        road_and_rerun = road_cache.payload(study, data)
     parts, scenarios = whole_study_payload(data) | road_and_rerun, scenario_payload(data)
     ids, outcome_names = scenarios["scenarios"]["id"], scenarios["outcomes"]
     indices = zip(ids, scenarios["scenarios"]["outcome"], strict=True)

@@ -25,9 +25,9 @@ _SECURITY_HEADERS: Final = (
 
 
 class TokenAuth:
-    """ASGI middleware: only requests with the token, and with an address of this machine as host, pass.
+    """ASGI middleware that rejects requests without the token, or with a host name other than localhost.
 
-    `policy` is the content security policy sent with every response.
+    `policy` is the content security policy, which is sent with every response.
     """
 
     def __init__(self, app: _App, token: str, policy: str) -> None:
@@ -36,7 +36,7 @@ class TokenAuth:
         self._headers = [*_SECURITY_HEADERS, (b"content-security-policy", policy.encode())]
 
     async def __call__(self, scope: _Scope, receive: _Receive, send: _Send) -> None:
-        """Handle an ASGI request."""
+        """Pass an ASGI request on to the application, or answer with status 403."""
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return

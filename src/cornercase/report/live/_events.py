@@ -1,4 +1,4 @@
-"""Contents and events of the live page."""
+"""Contents of the live page, and server-sent events that update the page."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from cornercase.report.live._live_page_reader import course_columns, scenario_co
 from cornercase.study import StudyMeta
 from cornercase.study._objective import Objective
 
-# Sent with all contents or as separate events, not with the analysis.
+# Keys that are sent with all contents or as separate events, not with the analysis.
 _SEPARATE_KEYS: Final = ("kinds", "outcomes", "kept", "notes", "roads", "rerun")
 
 
 @dataclass(frozen=True)
 class Cursor:
-    """How much of the study a page has received so far."""
+    """Position in the event stream of a live page: what the page has received so far."""
 
-    epoch: str = ""  # study, as `StudyFollower.epoch`
-    n_scenarios: int = 0  # number of scenarios, in read order
+    epoch: str = ""  # identifier of the study (`StudyFollower.epoch`)
+    n_scenarios: int = 0  # number of received scenarios, in the order in which they were read
     analysis_revision: int = 0  # revision of the analysis
     layout_revision: int = 0  # layout revision of the analysis
 
@@ -41,18 +41,18 @@ class Cursor:
 
 
 class EventStream:
-    """Makes the contents and events of live pages from the data of the follower and the analysis worker."""
+    """Source of contents and events of live pages, from the data of the follower and the analysis worker."""
 
     def __init__(self, follower: StudyFollower, analysis_worker: AnalysisWorker) -> None:
         self.follower = follower
         self._analysis_worker = analysis_worker
 
     def contents(self) -> dict[str, Any]:
-        """Return the contents of the page except recordings; ``live`` holds the progress.
+        """Return the contents of the live page, except recordings, as JSON values.
 
-        Before the first scenario has ended, ``live`` is the only key.
+        The key ``live`` holds the progress. It is the only key until the first scenario has ended.
         """
-        # In this order, so that the analysis never covers scenarios that are not in the contents.
+        # The analysis is read first, so that it never covers scenarios that are missing from the contents.
         analysis = self._analysis_worker.latest
         epoch, meta, digests, state = self.follower.snapshot()
         current = analysis.for_epoch(epoch)
@@ -67,11 +67,11 @@ class EventStream:
         return contents | {"recordings": {}, "live": live}
 
     def next_event(self, cursor: Cursor, last_state: Mapping[str, Any] | None = None) -> tuple[Cursor, str, Any] | None:
-        """Return the next event for a page: new cursor, event name and data; None if nothing is new.
+        """Return the next event for a live page: new cursor, event name and data; None if nothing is new.
 
-        ``contents`` tells the page to reload everything. ``scenarios`` brings new scenarios, and ``state`` if these are
-        all. ``knowledge`` brings a new analysis. ``state`` brings progress that differs from `last_state`, the state
-        sent last.
+        The event ``contents`` tells the page to reload everything. ``scenarios`` adds new scenarios, with the progress
+        if no more scenarios follow. ``knowledge`` replaces the analysis. ``state`` replaces the progress if it differs
+        from `last_state`, the progress sent last.
         """
         analysis = self._analysis_worker.latest
         epoch, meta, digests, _ = self.follower.snapshot()
@@ -100,7 +100,7 @@ class EventStream:
         return None
 
     def event_writer(self, cursor: Cursor) -> Callable[[], Iterator[str]]:
-        """Return a function that yields the server-sent events that are new since its last call."""
+        """Return a function that yields, as text, all server-sent events that are new since its previous call."""
         shown_state: dict[str, Any] | None = None
         shown_notes: dict[int, str] | None = None
 
@@ -128,7 +128,7 @@ def _round_course(course: Any) -> list[float] | None:
 
 
 def _initial_contents(meta: StudyMeta, path: Path) -> dict[str, Any]:
-    """Return the page contents that are known before any analysis."""
+    """Return the contents of the live page before any analysis: facts about the study, and empty results."""
     criterion = Objective.from_study_meta(meta).criterion
     critical = None if criterion is None else asdict(criterion)
     influential = list(range(len(meta.space.parameters)))
@@ -141,7 +141,7 @@ def _initial_contents(meta: StudyMeta, path: Path) -> dict[str, Any]:
 
 
 def _add_analysis(contents: dict[str, Any], analysis: PageAnalysis) -> None:
-    """Fill in the columns that depend on an analysis or a reduced set."""
+    """Fill in the columns of `contents` that depend on an analysis or a reduced set: outcomes, tests, clusters."""
     columns, outcomes = contents["scenarios"], contents["outcomes"]
     ids = columns["id"]
     indices = {outcome: k for k, outcome in enumerate(outcomes)}

@@ -1,4 +1,4 @@
-"""Follow a study that another process writes: read each scenario once, when it has ended."""
+"""Background thread that follows a study which another process writes, and reads each scenario when it has ended."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from cornercase.study import StudyFile, StudyMeta
 _POLL_SECONDS: Final = 0.25
 # Additional seconds before an unreadable study is polled again.
 _RETRY_SECONDS: Final = 1.0
-# Scenarios that are read before they are shown.
+# Number of scenarios that are read before they are shown together.
 _BATCH_SIZE: Final = 100
 
 
 @dataclass(frozen=True)
 class StudyProgress:
-    """Progress of a study: numbers of scenarios, and the time of the last new one."""
+    """Progress of a study: numbers of scenarios, and the time of the last new scenario."""
 
     name: Literal["waiting", "live"] = "waiting"
-    why: str = ""  # what is waited for, as a sentence
+    why: str = ""  # sentence that says what is waited for
     run: int = 0
     failed: int = 0
     pending: int = 0
@@ -40,9 +40,11 @@ class StudyProgress:
 
 
 class StudyFollower:
-    """Follows a study in a background thread, even if the study appears later or is replaced, or its writer restarts.
+    """Background thread that reads new scenarios of a study while another process writes the study.
 
-    Attributes: `state` is the progress; `n_changes` counts changes to the study; `notes` are by scenario id.
+    The study may appear later or be replaced, and the other process may restart.
+
+    Attributes: `state` is the progress, `n_changes` counts changes of the study, `notes` are notes by scenario id.
     """
 
     def __init__(self, path: Path) -> None:
@@ -60,24 +62,24 @@ class StudyFollower:
         self._reset()
 
     def start(self) -> None:
-        """Start following."""
+        """Start the thread."""
         self._thread.start()
 
     def stop(self) -> None:
-        """Stop following."""
+        """Stop the thread, and wait at most 5 s for its end."""
         self._stop_event.set()
         if self._thread.is_alive():
             self._thread.join(timeout=5.0)
 
     @property
     def epoch(self) -> str:
-        """Identifier of the followed study; it changes when the study is replaced or begins again."""
+        """Identifier of the followed study, which changes when the study is replaced or started again."""
         return f"{self._server}-{self._generation}"
 
     def snapshot(self) -> tuple[str, StudyMeta | None, list[LiveScenario], StudyProgress]:
-        """Return epoch, meta (None without a study), scenarios in the order in which they were read, and progress.
+        """Return epoch, metadata, scenarios in the order in which they were read, and progress, at the same moment.
 
-        All four belong to the same moment. The epoch is a text that identifies the followed study.
+        The epoch is a text that identifies the followed study. The metadata are None without a study.
         """
         with self._lock:
             return self.epoch, self._meta, list(self._digests), self.state
@@ -85,10 +87,10 @@ class StudyFollower:
     def digests_since(
         self, epoch: str, n_known: int, max_digests: int = _BATCH_SIZE
     ) -> tuple[Sequence[LiveScenario], StudyProgress | None] | None:
-        """Return up to `max_digests` scenarios after the first `n_known`; None if another study is followed by now.
+        """Return up to `max_digests` scenarios after the first `n_known`, and the progress if no more scenarios follow.
 
-        `epoch` identifies the study that the first scenarios came from. The progress is included if no more scenarios
-        follow.
+        `epoch` identifies the study that the first scenarios came from. The result is None if another study is followed
+        now.
         """
         with self._lock:
             if epoch != self.epoch:
@@ -114,7 +116,7 @@ class StudyFollower:
             try:
                 study = self._poll(study)
             except (InputError, OSError) as error:
-                # It may be half copied, and complete the next time.
+                # The file may be half copied, and complete the next time.
                 self._drop_study(study, str(error))
                 study = None
                 self._stop_event.wait(_RETRY_SECONDS)
@@ -131,7 +133,7 @@ class StudyFollower:
             self.state = StudyProgress(why=why)
 
     def _poll(self, study: StudyFile | None) -> StudyFile | None:
-        """Read what is new in the study, and return the study; None if the file must be opened again."""
+        """Read new scenarios of the study, opening it if necessary; return None if the file must be opened again."""
         stamp = _file_stamp(self.path)
         if stamp is None:
             self._drop_study(study, f"{self.path.name} is not there yet.")
@@ -161,7 +163,7 @@ class StudyFollower:
         return study
 
     def _read_new(self, study: StudyFile) -> bool:
-        """Read new scenarios; return False if the file holds another study now."""
+        """Read new scenarios; return False if the file must be opened again, because it contains another study now."""
         with study.snapshot():
             is_same_meta = study.read_meta() == study.meta
             rows = study.rows_from_id(min(self._pending_ids, default=self._next_id))
@@ -193,7 +195,7 @@ class StudyFollower:
         return True
 
     def _add_digests(self, digests: Sequence[LiveScenario], n_pending: int, last_time: float | None) -> None:
-        """Add scenarios and update the progress under one lock."""
+        """Add scenarios and update the progress while holding the lock, so that both always match."""
         self._failed_errors |= {digest.row.id: digest.row.error for digest in digests if digest.row.state == "failed"}
         failed = len(self._failed_errors)
         with self._lock:

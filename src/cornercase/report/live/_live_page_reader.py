@@ -1,4 +1,4 @@
-"""Read what the live page shows of a scenario, as soon as the scenario has ended."""
+"""Reader of single scenarios for the live page, and the columns of the page made from them."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ from cornercase.study._objective import Objective
 
 @dataclass(frozen=True, eq=False)
 class LiveScenario:
-    """Everything that the live page shows of one scenario."""
+    """Results of one ended scenario that the live page shows before any analysis."""
 
     row: ScenarioRecord
     scores: dict[str, float]  # by metric; empty if the scenario failed
     critical: bool
-    collides: bool  # with an entity the ego is measured against
+    collides: bool  # the ego collides with an entity it is measured against
     time_span: tuple[float, float]  # begin and end of the recording in s
     courses: dict[str, FloatArray]  # resampled courses by metric, shape (COURSE_POINTS,)
     score_sources: dict[str, str | None] = field(default_factory=dict)
 
 
 class LivePageReader:
-    """Reads what the live page shows of scenarios from an open study."""
+    """Reader of ended scenarios from an open study, for the live page."""
 
     def __init__(self, study: StudyFile) -> None:
         self._study = study
         self._objective = Objective.from_study_meta(study.meta)
 
     def read(self, row: ScenarioRecord) -> LiveScenario:
-        """Read a scenario that has ended."""
+        """Read the results of a scenario that has ended."""
         if row.state == "failed":
             return LiveScenario(row, {}, False, False, (0.0, 0.0), {})
         study, meta = self._study, self._study.meta
@@ -52,7 +52,7 @@ class LivePageReader:
 
 
 def scenario_columns(meta: StudyMeta, digests: Sequence[LiveScenario]) -> dict[str, Any]:
-    """Return scenarios as the columns ``scenarios`` and ``errors`` of the page, without results of an analysis."""
+    """Return the results of scenarios as columns for the live page, without results of an analysis."""
     rows = [digest.row for digest in digests]
 
     def score_column(name: str) -> list[float | None]:
@@ -84,7 +84,7 @@ def scenario_columns(meta: StudyMeta, digests: Sequence[LiveScenario]) -> dict[s
 
 
 def course_columns(meta: StudyMeta, digests: Sequence[LiveScenario]) -> dict[str, Any]:
-    """Return the courses of scenarios in the page's format, by metric."""
+    """Return the courses (values of a metric over time) of scenarios, encoded for the live page, by metric."""
     return {
         name: encode_courses([digest.courses.get(name) for digest in digests], [digest.time_span for digest in digests])
         for name in meta.metrics

@@ -127,7 +127,7 @@ def create_app(
 ) -> Any:
     """Return the ASGI application that serves the live page of the study at `path`.
 
-    Every request must contain `token`. `is_ending` returns whether the server is shutting down.
+    Every request must contain `token`. `is_ending` returns True once the server shuts down.
     """
     answers = _Endpoints(path, event_stream, scenario, is_ending)
     app = Starlette(
@@ -154,7 +154,7 @@ def _scenario_id(request: Request) -> int:
     text = request.path_params["id"]
     # Limited in length, as parsing very long numbers is slow.
     if not (text.isascii() and text.isdecimal() and len(text) <= _MAX_ID_DIGITS):
-        raise InputError("A scenario id is a number.")
+        raise InputError(f"The scenario id in the address must be a number of at most {_MAX_ID_DIGITS} digits.")
     return int(text)
 
 

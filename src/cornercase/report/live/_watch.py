@@ -1,4 +1,4 @@
-"""Serve the live page of a study."""
+"""Function `watch`: serve the live page of a study."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from cornercase.report.live._follower import StudyFollower
 from cornercase.study._study_file import open_study
 
 _MAX_PORT: Final = 65535
-# Seconds that open connections get to finish.
+# Seconds for which the server waits for open connections when it stops.
 _SHUTDOWN_SECONDS: Final = 2
 _BACKLOG: Final = 100
 
@@ -38,7 +38,7 @@ def watch(
     browser: bool = False,
     show: Callable[[str], object] = print,
 ) -> None:
-    """Serve the report of a study as a live page that grows with it, until interrupted.
+    """Serve the report of a study as a live page, which grows with the study, until interrupted.
 
     The study is only read, except for notes written on the page. It may be created, replaced or resumed later.
 
@@ -52,8 +52,8 @@ def watch(
         Address of the network interface. With another interface than the default, other machines can connect if they
         know the token in the address of the page.
     scenario : path, optional
-        Scenario file that was explored, from which the page writes concrete scenarios. By default it is searched beside
-        the study and in the current folder.
+        Scenario file that was explored, from which the page makes concrete scenarios. By default the file is searched
+        beside the study and in the current folder.
     browser : bool, default False
         Open the page in the browser.
     show : callable, default print
@@ -66,7 +66,7 @@ def watch(
 
     See Also
     --------
-    cornercase.write_report : The same page as a file.
+    cornercase.write_report : Write the same page as a file.
 
     Examples
     --------
@@ -118,7 +118,7 @@ def watch(
         try:
             servers[0].run(sockets=[listening])
         except KeyboardInterrupt:
-            # Ctrl-C is the normal way to end it.
+            # Ctrl-C is the normal way to end the server.
             if last_signal() != signal.SIGINT:
                 raise
         finally:
@@ -135,9 +135,9 @@ def _bind(host: str, port: int) -> socket.socket:
         return socket.create_server((host, port), family=kind, backlog=_BACKLOG)
     except OSError as error:
         if error.errno == errno.EADDRNOTAVAIL:
-            raise InputError(f"`host` {host}: this machine has no such address; 127.0.0.1 is its own.") from error
+            raise InputError(f"`host` {host}: this machine has no such address; give 127.0.0.1.") from error
         raise InputError(
-            f"`port` {port}: nothing can be served at {host} ({error.strerror}); choose another one."
+            f"`port` {port}: nothing can be served at {host} ({error.strerror}); choose another port."
         ) from error
 
 
