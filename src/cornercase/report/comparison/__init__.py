@@ -1,1 +1,1 @@
-"""Page that compares two versions."""
+"""HTML page that compares two studies: results of an old and a new version of the tested function."""

@@ -1,4 +1,4 @@
-"""Charts of a comparison: old against new scores, and where in the parameter space criticality changed."""
+"""Charts of a comparison page: old against new scores, and changes of criticality in the parameter space."""
 
 from __future__ import annotations
 
@@ -24,21 +24,21 @@ _MAX_UNCHANGED_POINTS: Final = 3000
 
 @dataclass(frozen=True)
 class Chart:
-    """A chart; coordinates are in pixels."""
+    """Scatter chart of a comparison page; coordinates are in pixels."""
 
     title: str
     caption: str
     across: str  # label of the horizontal axis
     up: str  # label of the vertical axis
-    ticks_across: tuple[tuple[float, str], ...]  # position and number
+    ticks_across: tuple[tuple[float, str], ...]  # position and text of each tick
     ticks_up: tuple[tuple[float, str], ...]
-    points: tuple[tuple[float, float, str, str, tuple[int, int]], ...]  # x, y, class, text, ids
-    diagonal: tuple[float, float, float, float] | None  # from x, y to x, y
-    legend: tuple[tuple[str, str], ...]  # class and its meaning
+    points: tuple[tuple[float, float, str, str, tuple[int, int]], ...]  # x, y, CSS class, text, ids in both studies
+    diagonal: tuple[float, float, float, float] | None  # x and y of its begin, x and y of its end
+    legend: tuple[tuple[str, str], ...]  # CSS class and its meaning
 
     @property
     def frame(self) -> dict[str, float]:
-        """Size of the picture and edges of the axes, in pixels."""
+        """Size of the chart and edges of the area inside the axes, in pixels."""
         right, bottom = CHART_WIDTH - _RIGHT, CHART_HEIGHT - _BOTTOM
         return {
             "width": CHART_WIDTH,
@@ -51,9 +51,10 @@ class Chart:
 
 
 def draw_charts(comparison: Comparison, parameters: Sequence[Parameter]) -> Iterator[Chart]:
-    """Yield a chart of old against new scores for each metric that changed, and a chart of the parameter space.
+    """Yield a chart of old against new scores for each metric with changed scores, and a chart of the parameter space.
 
-    The chart of the space shows the first two numeric parameters.
+    The chart of the parameter space shows the first two numeric parameters. It is left out if there are fewer, or if no
+    scenario changed.
     """
     ran = [pair for pair in comparison.pairs if pair.both_ran]
     for score in comparison.scores:
@@ -149,9 +150,9 @@ def _y_pixels(values: FloatArray, low: float, high: float) -> FloatArray:
 
 
 def _ticks(low: float, high: float, *, is_horizontal: bool) -> tuple[tuple[float, str], ...]:
-    """Return round numbers between `low` and `high` with their positions as text.
+    """Return the ticks of an axis from `low` to `high`: positions in pixels and numbers as text.
 
-    They are 1, 2 or 5 times a power of ten apart.
+    The step between two numbers is 1, 2 or 5 times a power of ten.
     """
     if not high > low:
         return ()
@@ -168,9 +169,10 @@ def _ticks(low: float, high: float, *, is_horizontal: bool) -> tuple[tuple[float
 def _thin_unchanged(
     points: FloatArray, classes: Sequence[str], texts: Sequence[str], pairs: Sequence[ScenarioPair]
 ) -> tuple[tuple[Any, ...], ...]:
-    """Return points with their class, text and ids; unchanged points are thinned out.
+    """Return points (x, y in pixels) with CSS class, text and ids of scenarios.
 
-    Changed points come last, so that they are drawn on top.
+    If there are too many unchanged points, only every k-th is returned. Changed points come last, so that they are
+    drawn on top.
     """
     unchanged = [k for k, point_class in enumerate(classes) if point_class == "both"]
     changed = [k for k, point_class in enumerate(classes) if point_class != "both"]

@@ -1,4 +1,4 @@
-"""Page of a comparison: one HTML file without external references."""
+"""Page that compares two studies: one HTML file without external references."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def write_comparison(
     *,
     scenario: Path | str | ScenarioFile | None = None,
 ) -> Path:
-    """Write the page of a comparison: verdict, changes, charts, and replays of example scenarios.
+    """Write a page that compares two studies: verdict, changes, charts, and replays of scenarios that differ.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ def write_comparison(
     path : path
         File to write. The same comparison gives the same bytes.
     scenario : path or ScenarioFile, optional
-        Scenario file, to draw the road; by default it is searched beside the old study and in the current folder.
+        Scenario file, to draw the road. By default the file is searched beside the old study and in the current folder.
 
     Returns
     -------
@@ -59,7 +59,7 @@ def write_comparison(
     Raises
     ------
     InputError
-        The file cannot be written, a study cannot be read, or `scenario` is not the explored one.
+        The file cannot be written, a study cannot be read, or `scenario` is not the explored file.
 
     Examples
     --------
@@ -133,7 +133,7 @@ def _render_page(
 
 
 def _describe_left_out(comparison: Comparison, replayed: ReplayedPairs) -> str:
-    """Say how many scenarios that differ have no replay on the page; empty if all have one."""
+    """Describe how many differing scenarios have no replay on the page; the text is empty if all have a replay."""
     if not replayed.n_left_out:
         return ""
     return (
@@ -143,7 +143,7 @@ def _describe_left_out(comparison: Comparison, replayed: ReplayedPairs) -> str:
 
 
 def _findings_payload(findings: Sequence[Finding], replayed: ReplayedPairs) -> list[dict[str, Any]]:
-    """Return the texts of findings, with links to the replays of their scenarios."""
+    """Return findings (changes that the comparison found) as texts, with links to replays of their scenarios."""
     return [
         {"what": finding.change_text, "test": finding.describe_test(), "scenarios": replayed.link_all(finding.ids)}
         for finding in findings
@@ -158,7 +158,7 @@ def _format_ids(example: Example) -> str:
 def _replay_payload(
     comparison: Comparison, pairs: Sequence[ScenarioPair], old: StudyFile, new: StudyFile
 ) -> dict[str, Any]:
-    """Return the contents of the replays; both scenarios of each pair have numbers of their own on the page."""
+    """Return the contents of the replays as JSON values; old and new scenario of a pair have separate numbers."""
     rows = [{row.id: row for row in study.rows()} for study in (old, new)]
     outcomes = sorted({outcome for pair in pairs for outcome in pair.outcomes if outcome})
     metrics = [score.metric for score in comparison.scores]

@@ -1,4 +1,4 @@
-"""What an engineer does next after a comparison: what to fix, what to look at, and what was not tested."""
+"""Sentences on the next steps after a comparison: what to fix, what to look at, and what was not tested."""
 
 from __future__ import annotations
 
@@ -16,7 +16,10 @@ _MAX_ON_TRACK: Final = 5
 
 
 def describe_next_steps(comparison: Comparison, new: StudyFile) -> Iterator[tuple[str, tuple[str, ...]]]:
-    """Yield questions about a comparison with their answers, which have ids of scenarios in brackets."""
+    """Yield questions about the next steps after a comparison, each with sentences as answer.
+
+    Scenario ids in the sentences are in brackets.
+    """
     yield "What to fix?", tuple(_describe_fixes(comparison, new))
     yield "What next?", tuple(_describe_hand_over(comparison))
     yield "What was not tested?", tuple(_describe_gaps(comparison))
@@ -44,7 +47,7 @@ def _describe_fixes(comparison: Comparison, new: StudyFile) -> Iterator[str]:
             f" m/s{fault}{reasons}."
         )
     others = [finding for finding in comparison.worse if finding.kind != "collision" and finding.ids]
-    # Scores alone are named only where nothing else is worse.
+    # Worse scores are named only if nothing else is worse.
     grave = [finding for finding in others if finding.kind != "score"]
     if not lost:
         for finding in grave or others[:1]:
@@ -56,7 +59,7 @@ def _describe_fixes(comparison: Comparison, new: StudyFile) -> Iterator[str]:
 
 
 def _describe_hand_over(comparison: Comparison) -> Iterator[str]:
-    """Yield who gets what, and what to drive on a proving ground."""
+    """Yield sentences on the files to hand over to developers and authorities, and on tests for a proving ground."""
     findings = (*comparison.worse, *comparison.better)
     # Collisions that are new or gone come first; each scenario once.
     changed = list(dict.fromkeys(ids for finding in findings for ids in finding.ids))[:_MAX_ON_TRACK]
@@ -81,7 +84,7 @@ def _describe_gaps(comparison: Comparison) -> Iterator[str]:
         yield f"{failed} scenarios could be run with neither version, and {n_in_one} with one only."
     n_pairs = comparison.space.pairs if comparison.space is not None else 0
     if n_pairs:
-        # With this share, all of n random draws miss the region with a probability of 5 %.
+        # A region with this share of the space is missed by all of n random draws with a probability of 5 %.
         share = 1.0 - 0.05 ** (1.0 / n_pairs)
         yield (
             f"What changed only in a small part of the space: {n_pairs} scenarios that fill it miss a region of"

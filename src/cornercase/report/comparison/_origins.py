@@ -1,4 +1,4 @@
-"""How both studies of a comparison were made, and what differs between them."""
+"""Settings with which both studies of a comparison were made, and commands that make the studies again."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from cornercase.suite import Comparison
 
 @dataclass(frozen=True)
 class Origins:
-    """How both studies were made.
+    """Settings of both studies of a comparison, and commands that make the studies and the page again.
 
-    `rows` have what it is, the old and the new value, and whether they differ. `commands` make the studies again, each
-    with its title and what it cannot express, and the last one makes the page.
+    `rows` are tuples of name, old value, new value, and True if the values differ. `commands` are tuples of title,
+    command, and sentences on what the command cannot express. The last command makes the page.
     """
 
     rows: tuple[tuple[str, str, str, bool], ...]
@@ -30,7 +30,7 @@ class Origins:
 
 
 def describe_origins(comparison: Comparison, old: StudyFile, new: StudyFile) -> Origins:
-    """Describe how both studies were made, what differs first; file names are without folders, which are private."""
+    """Describe the settings of both studies, differing settings first; folders are left out, since they are private."""
     facts = [_describe_study(study) for study in (old, new)]
     names = dict.fromkeys((*facts[0], *facts[1]))
     rows = [(name, facts[0].get(name, "–"), facts[1].get(name, "–")) for name in names]
@@ -77,7 +77,7 @@ def _describe_study(study: StudyFile) -> dict[str, str]:
 
 
 def _format_command_of(study: StudyFile) -> str:
-    """Return the command that makes a study again, under its own name."""
+    """Return the command that makes a study again, with the file name of the study as output."""
     return f"{format_command(study.meta).removesuffix(' study.db')} {shlex.quote(study.path.name)}"
 
 

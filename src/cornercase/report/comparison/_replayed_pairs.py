@@ -1,4 +1,4 @@
-"""Pairs of scenarios that the page of a comparison replays, and the instant at which each shows its difference."""
+"""Pairs of old and new scenarios that a comparison page replays, and the instants that show their differences."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from cornercase.report._event_payload import find_events_of_scenario
 from cornercase.study import StudyFile
 from cornercase.suite import Comparison, ScenarioPair
 
-# Recordings beyond this size are left out; the examples and what the verdict names come first.
+# Recordings beyond this size are left out; the examples and the scenarios that the verdict names come first.
 _MAX_CHARACTERS: Final = 8_000_000
-# Distance in m between both runs of an entity from which they are told apart.
+# Distance in m between the positions of an entity in both runs from which the runs count as different.
 _MIN_DISTANCE: Final = 0.1
-# Scenarios that a list names before the rest is folded.
+# Number of scenarios that a list names; the rest is hidden until the user opens it.
 _MAX_SHOWN: Final = 40
 # A list of scenarios in a sentence, as "(4, 9→12 and 3 more)".
 _LISTED: Final = re.compile(r"(?<=\()\d+(?:→\d+)?(?:, \d+(?:→\d+)?)*(?=\)| and \d+ more\))")
@@ -32,19 +32,23 @@ Ids: TypeAlias = tuple[int, int]
 
 @dataclass
 class ReplayedPairs:
-    """Pairs with recordings on the page; each has two numbers there, since ids of both studies overlap."""
+    """Pairs of an old and a new scenario with recordings on a comparison page.
+
+    Each scenario has a number on the page, since ids of both studies overlap.
+    """
 
     pairs: list[ScenarioPair] = field(default_factory=list)
     recordings: list[Recording] = field(default_factory=list)
     texts: dict[int, str] = field(default_factory=dict)  # encoded recordings by number
     events: dict[str, dict[str, Any]] = field(default_factory=dict)  # by number
-    differences: dict[str, dict[str, Any]] = field(default_factory=dict)  # instant and words, by the old number
-    # Number of the old version's scenario; that of the new version is the next one.
+    # Instant and sentence by number of the old scenario.
+    differences: dict[str, dict[str, Any]] = field(default_factory=dict)
+    # Number of the old scenario by ids of the pair; the new scenario has the next number.
     numbers_by_ids: dict[Ids, int] = field(default_factory=dict)
     n_left_out: int = 0
 
     def link(self, ids: Ids, text: str) -> Markup:
-        """Render the name of a scenario as a link to its replay; as text if the page has no recording of it."""
+        """Render the name of a scenario as a link to its replay, or as text if the page has no recording."""
         number = self.numbers_by_ids.get(ids)
         if number is None:
             return escape(text)
@@ -53,7 +57,7 @@ class ReplayedPairs:
         )
 
     def link_all(self, all_ids: Sequence[Ids], limit: int = _MAX_SHOWN) -> Markup:
-        """Render many scenarios as links; the rest of a long list is folded."""
+        """Render a list of scenarios as links to their replays; links after the first `limit` are hidden at first."""
         links = [self.link(ids, format_ids(ids)) for ids in all_ids]
         text = Markup(", ").join(links[:limit])
         if len(links) <= limit:
@@ -63,7 +67,7 @@ class ReplayedPairs:
         )
 
     def link_sentence(self, sentence: str) -> Markup:
-        """Escape a sentence, and link the scenarios that it lists in brackets."""
+        """Escape a sentence as HTML, and link scenario ids in brackets to the replays."""
         by_name = {format_ids(pair.ids): pair.ids for pair in self.pairs}
 
         def link_list(match: re.Match[str]) -> str:
@@ -74,7 +78,7 @@ class ReplayedPairs:
 
 
 def read_replayed_pairs(comparison: Comparison, old: StudyFile, new: StudyFile) -> ReplayedPairs:
-    """Read the recordings of all pairs that differ, the most important ones first, up to about 8 MB."""
+    """Read the recordings of all pairs of scenarios that differ, the most important first, up to about 8 MB."""
     replayed, size = ReplayedPairs(), 0
     for pair in _order_pairs(comparison):
         if size > _MAX_CHARACTERS:
@@ -98,7 +102,7 @@ def read_replayed_pairs(comparison: Comparison, old: StudyFile, new: StudyFile) 
 
 
 def _order_pairs(comparison: Comparison) -> Iterator[ScenarioPair]:
-    """Yield each pair that differs once: examples, then those of the verdict, then the others."""
+    """Yield all pairs that differ, without repetition: examples, then pairs that the verdict names, then the others."""
     by_ids = {pair.ids: pair for pair in comparison.pairs}
     named = [ids for finding in (*comparison.worse, *comparison.better) for ids in finding.ids]
     differing = [pair.ids for pair in comparison.pairs if pair.run in ("otherwise", "not in one", "within rounding")]
@@ -120,10 +124,10 @@ def _read_courses(study: StudyFile, scenario: int, comparison: Comparison) -> di
 def _describe_difference(
     pair: ScenarioPair, old: Recording | None, new: Recording | None, comparison: Comparison
 ) -> dict[str, Any]:
-    """Return the instant that shows the difference of a pair, and a sentence on it.
+    """Return side (0: old, 1: new), instant and sentence with which the replay shows the difference of a pair.
 
-    That is the collision that only one version has; else the replay's own most critical instant, in the version that is
-    more critical.
+    The instant is the collision that only one version has. Without such a collision no instant is returned, and the
+    replay shows the most critical instant of the more critical version.
     """
     if old is None or new is None:
         return {"side": 0 if new is None else 1, "text": "One version only could run it."}
@@ -149,7 +153,7 @@ def _describe_difference(
 
 
 def _is_more_critical_now(pair: ScenarioPair, metrics: Mapping[str, Any]) -> bool:
-    """Tell whether the new version is the more critical one, by the first metric whose score changed."""
+    """Return whether the new version is more critical, by the first metric whose score changed."""
     for name, (before, after) in pair.scores.items():
         if before != after:
             return bool(metrics[name].to_minimize(after) < metrics[name].to_minimize(before))
@@ -157,7 +161,7 @@ def _is_more_critical_now(pair: ScenarioPair, metrics: Mapping[str, Any]) -> boo
 
 
 def _find_parting(old: Recording, new: Recording) -> float | None:
-    """Return the first instant in s at which an entity is more than 0.1 m away from where it was; None without one."""
+    """Return the first time in s at which an entity is more than 0.1 m apart in both recordings; None if never."""
     names = [name for name in old.names if name in new.names]
     end = min(old.time[-1], new.time[-1])
     times = old.time[old.time <= end]
@@ -174,5 +178,5 @@ def _find_parting(old: Recording, new: Recording) -> float | None:
 
 
 def format_ids(ids: Ids) -> str:
-    """Return the ids of a scenario in both studies as text: `"4"`, or `"4→7"` if they differ."""
+    """Return the ids of a scenario in both studies as text: ``"4"``, or ``"4→7"`` if both ids differ."""
     return str(ids[0]) if ids[0] == ids[1] else f"{ids[0]}→{ids[1]}"
