@@ -1,1 +1,1 @@
-"""Encode data for the scripts of the page."""
+"""Encoding of recordings for the scripts of the report page."""

@@ -1,4 +1,4 @@
-"""Select the recordings that a page contains."""
+"""Selection and encoding of the recordings that a report page contains."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _SIZE_SAMPLE: Final = 64
 
 
 def encode_recordings(study: StudyFile, ids: Sequence[int], *, max_characters: float = math.inf) -> dict[int, str]:
-    """Return the texts of recordings in the page, by id in the order of `ids`, up to about `max_characters`."""
+    """Encode recordings as base64 texts, by id in the order of `ids`, until the size exceeds `max_characters`."""
     texts: dict[int, str] = {}
     size = 0
     for scenario in ids:
@@ -36,11 +36,11 @@ def encode_important_recordings(
     sample_characters: int = 8_000_000,
     n_most_critical: int = 100,
 ) -> dict[int, str]:
-    """Encode all recordings of a study, or only the most important ones if all exceed `max_characters`.
+    """Encode all recordings of a study, or only the most important ones if all together exceed `max_characters`.
 
-    The important ones take about `sample_characters`: first the reduced set, examples of clusters, the Pareto front and
-    the most critical scenarios by each metric, then an even sample of the others. With the defaults, a page of 20,000
-    scenarios stays below 30 MB.
+    In the second case, recordings are encoded up to about `sample_characters`. First come the reduced set, examples of
+    clusters, the Pareto front and the `n_most_critical` scenarios by each metric, then an even sample of the others.
+    With the defaults, a page of 20,000 scenarios stays below 30 MB.
     """
     ids = [row.id for row in data.rows]
     first = list(dict.fromkeys(_important_ids(data, n_most_critical)))
@@ -54,7 +54,7 @@ def encode_important_recordings(
 
 
 def describe_left_out_recordings(data: ReportData, recordings: Collection[int]) -> str:
-    """Describe which recordings the page lacks; empty if it contains all of them."""
+    """Describe which recordings the report page contains; the text is empty if the page contains all of them."""
     n_contained, run = len(recordings), len(data.rows)
     if n_contained == run:
         return ""
@@ -66,7 +66,7 @@ def describe_left_out_recordings(data: ReportData, recordings: Collection[int]) 
 
 
 def _important_ids(data: ReportData, n_most_critical: int) -> Iterator[int]:
-    """Yield ids of the scenarios that users look at first."""
+    """Yield the ids of the scenarios that users look at first; an id may be repeated."""
     summary = data.summary
     if summary.reduced_set is not None:
         yield from summary.reduced_set.ids
@@ -79,7 +79,7 @@ def _important_ids(data: ReportData, n_most_critical: int) -> Iterator[int]:
 
 
 def _van_der_corput_order(count: int) -> list[int]:
-    """Return 0 to `count` - 1 in van der Corput order: any number of first values is evenly spread."""
+    """Return the numbers from 0 to `count` - 1 in van der Corput order: the first k numbers are spread evenly."""
     bits = max(count - 1, 1).bit_length()
     mirrored = (int(f"{k:0{bits}b}"[::-1], 2) for k in range(1 << bits))
     return [k for k in mirrored if k < count]
