@@ -233,7 +233,7 @@ def test_a_study_whose_file_is_gone_still_shows_itself(problem, tmp_path):
 
 
 def test_a_number_of_the_file_is_not_taken_for_an_option_of_a_driver():
-    with pytest.raises(cc.InputError, match="is a number of the file, and no parameter; make it one with"):
+    with pytest.raises(cc.InputError, match="is a number of the file, but not a parameter; make it a parameter with"):
         cc.LogicalScenario.read(X, SPACE).vary("Pedestrian.initial.y", 3, 9)
 
 

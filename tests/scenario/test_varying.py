@@ -412,7 +412,7 @@ def test_43_where_no_range_is_proposed_that_is_said(tmp_path: Path) -> None:
 def test_43_a_scenario_is_written_into_a_file_of_its_ending_only(tmp_path: Path, name: str) -> None:
     (tmp_path / "a").mkdir()
     path = written(tmp_path / "a")
-    with pytest.raises(InputError, match=r"a scenario is written; name a file that ends with \.xosc"):
+    with pytest.raises(InputError, match=r"the output is a scenario; use a name that ends with \.xosc"):
         vary(path, ["Ego.initial.speed"], tmp_path / name)
     assert [one.name for one in tmp_path.iterdir()] == ["a"]
 

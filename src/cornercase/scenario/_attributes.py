@@ -61,7 +61,7 @@ class AttributeReader:
         """Read an attribute as a number for each scenario, shape (N,).
 
         If an expression has no value in a scenario, its number is not finite, and `invalid_values` lists the attribute.
-        An attribute without a default must be present.
+        Without `default`, the attribute must be present.
         """
         text = element.get(attribute)
         if text is None:
@@ -175,7 +175,7 @@ class AttributeReader:
         return text
 
     def _record_text_used_as_number(self, text: str, result: Any, element: _SourceElement, attribute: str) -> None:
-        """Record the text parameters that an expression calculates with as if they were numbers."""
+        """Note on the element which parameters with a text as value an expression uses as numbers."""
         texts = [name for name in sorted(parameter_names_in(text)) if isinstance(self.parameter_values.get(name), str)]
         if texts and isinstance(element, etree._Element) and isinstance(result, float | np.floating | np.ndarray):
             note_adaptation(
@@ -203,5 +203,5 @@ class AttributeReader:
         return self.error_at(element, f"{attribute} of <{element.tag}> {reason}{ending}")
 
     def error_at(self, element: _SourceElement, message: str) -> InputError:
-        """Return the error that names the file and line of an element before a message."""
+        """Return an error with a message that begins with the file and line of an element."""
         return InputError(f"{format_location(element, self.file_name)}: {message}")

@@ -32,7 +32,10 @@ def find_left_handed_header(root: etree._Element) -> etree._Element | None:
 
 
 def mirror_axes(root: etree._Element) -> None:
-    """Mirror all positions of a tree in place; attributes must be plain numbers, without parameters."""
+    """Change the signs of y coordinates, headings and curvatures in a tree, in place.
+
+    Attributes that are not plain numbers, such as parameters, stay as they are.
+    """
     for element in root.iter(*MIRRORED_ATTRIBUTES):
         for name in MIRRORED_ATTRIBUTES[str(element.tag)]:
             try:

@@ -1,10 +1,10 @@
-"""Signal that a batch of scenarios has to be split."""
+"""Error for a batch of scenarios that has to be split."""
 
 from __future__ import annotations
 
 
 class BatchSplitError(Exception):
-    """Scenarios of a batch differ in an attribute that must be the same for all of them.
+    """Error if the scenarios of a batch (simulated together) differ in an attribute that must be the same for all.
 
     The attribute depends on the varied parameters `parameter_names`: split the batch by their values.
     """

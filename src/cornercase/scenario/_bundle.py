@@ -16,7 +16,7 @@ class ScenarioBundle:
     """Contents of a scenario file and of all files that it needs, as they were first read.
 
     `files` maps paths relative to `common_folder` (with ``/``) to contents. `scenario_path` is the relative path of the
-    scenario file. `varied_roads` is as in `ScenarioFile`.
+    scenario file. `varied_roads` are the road files that a varied parameter can select, as written in the scenario.
     """
 
     common_folder: str
@@ -27,7 +27,7 @@ class ScenarioBundle:
 
     @classmethod
     def from_file(cls, scenario: ScenarioFile) -> ScenarioBundle:
-        """Pack a scenario; raises `InputError` if it names a file by an absolute path."""
+        """Pack a scenario file with all files that it needs; raises `InputError` for a file with an absolute path."""
         contents = {
             scenario.road_path_next_to_scenario(file): content for file, content in scenario.read_all_files().items()
         }
@@ -60,7 +60,7 @@ class ScenarioBundle:
         )
 
     def unpack(self, folder: Path) -> ScenarioFile:
-        """Write the files to an empty folder, and return the scenario there; its fingerprint stays the same."""
+        """Write all files to an empty folder, and return the scenario file there, with its original fingerprint."""
         for name, content in self.files.items():
             target = folder / name
             try:

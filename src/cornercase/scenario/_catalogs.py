@@ -18,7 +18,7 @@ _UTF16_MARKS: Final = (b"\xff\xfe", b"\xfe\xff")
 
 
 def looks_like_catalog(content: bytes) -> bool:
-    """Whether a file seems to hold a catalog, judged by its text without parsing it."""
+    """Return whether the content of a file looks like a catalog, without parsing the content."""
     return content.startswith(_UTF16_MARKS) or _CATALOG_TAG.search(content) is not None
 
 
@@ -36,7 +36,7 @@ class Catalogs:
                     self._by_name.setdefault(name, []).append((file, catalog))
 
     def find_catalogs(self, name: str) -> list[etree._Element]:
-        """Return all catalogs with a name."""
+        """Return all catalogs that have a name, or whose file has this name."""
         return [element for _, element in self._by_name.get(name, ())]
 
     def find_entry_in_any_catalog(self, entry_name: str) -> etree._Element | None:
@@ -52,7 +52,7 @@ class Catalogs:
     def find_entry(self, catalog_name: str, entry_name: str) -> etree._Element:
         """Return an entry of a catalog.
 
-        If several catalogs have this name, a catalog whose file has the same name is preferred.
+        If several catalogs have this name, the catalog in a file of the same name is preferred.
         """
         if catalog_name not in self._by_name:
             raise InputError(

@@ -43,10 +43,10 @@ def write_concrete_file(
     drivers: Mapping[str, str] | None = None,
     description: str | None = None,
 ) -> tuple[Path, ...]:
-    """Write a concrete scenario, and copies of its road file and catalogs beside it; return the paths of all files.
+    """Write a concrete scenario, and copies of its road file and catalogs next to it; return the paths of all files.
 
-    `drivers` maps entities to driver presets, with the values of their parameters as options. `description` replaces
-    the description in the file header.
+    `drivers` maps the names of entities to driver presets, with options as in ``"PRESET:reaction=0.3"``. `description`
+    replaces the description in the file header.
     """
     concrete = build_concrete_file(scenario, values, target, drivers, description)
     for source, relative, root in concrete.companions:
@@ -63,7 +63,7 @@ def build_concrete_file(
     drivers: Mapping[str, str] | None = None,
     description: str | None = None,
 ) -> ConcreteFile:
-    """Build the content that `write_concrete_file` writes, but write nothing; `target` is for messages."""
+    """Build the content that `write_concrete_file` writes, but write nothing; `target` is only for error messages."""
     scenario.require_declared(list(values))
     root = deepcopy(scenario.root)
     header = root.find("FileHeader")
@@ -89,7 +89,7 @@ def build_concrete_file(
 
 
 def _relocate_road_file(scenario: ScenarioFile, root: etree._Element) -> Iterator[tuple[Path, str, str]]:
-    """Make the scenario refer to a road file in its own folder, and yield it as in `ConcreteFile.companions`."""
+    """Make the scenario refer to a road file in its own folder, and yield that file for `ConcreteFile.companions`."""
     logic_file = root.find("RoadNetwork/LogicFile")
     if logic_file is not None and logic_file.get("filepath"):
         holder, attribute = _find_path_attribute(root, logic_file, "filepath")
@@ -99,7 +99,7 @@ def _relocate_road_file(scenario: ScenarioFile, root: etree._Element) -> Iterato
 
 
 def _relocate_catalogs(scenario: ScenarioFile, root: etree._Element) -> Iterator[tuple[Path, str, str]]:
-    """Make the scenario refer to catalog folders beside it, and yield each catalog as in `ConcreteFile.companions`."""
+    """Make the scenario refer to catalog folders next to it, and yield each catalog for `ConcreteFile.companions`."""
     folders: dict[str, Path] = {}
     for directory in root.iterfind("CatalogLocations//Directory"):
         holder, attribute = _find_path_attribute(root, directory, "path")
@@ -121,9 +121,9 @@ def _relocate_catalogs(scenario: ScenarioFile, root: etree._Element) -> Iterator
 
 
 def _find_path_attribute(root: etree._Element, element: etree._Element, attribute: str) -> tuple[etree._Element, str]:
-    """Return the element and attribute that hold a path.
+    """Return the element and attribute that hold a path: the given ones, unless the attribute names a parameter.
 
-    These are the given ones, or the ``value`` of the declaration if the path is a parameter.
+    For a parameter, return its declaration and ``value``.
     """
     text = element.get(attribute, "")
     for declaration in root.iterfind("ParameterDeclarations/ParameterDeclaration"):
@@ -164,7 +164,7 @@ def _set_driver_property(scenario_object: etree._Element, driver: str, target: P
 
 
 def _remove_initial_controllers(root: etree._Element, entity: str) -> None:
-    """Remove the controller actions of an entity from ``Init``, since they would replace its chosen driver."""
+    """Remove the actions from ``Init`` that set a controller of an entity and would replace its chosen driver."""
     for private in root.findall("Storyboard/Init/Actions/Private"):
         if private.get("entityRef") == entity:
             for action in private.findall("PrivateAction"):

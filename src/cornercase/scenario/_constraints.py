@@ -172,10 +172,10 @@ def find_constraint_violations(
     get_value: Callable[[str], Any],
     evaluate_bound: Callable[[str], Any],
 ) -> dict[str, BoolArray]:
-    """Return which scenarios violate constraints of the declarations: a mask (N,) for each violated parameter.
+    """Return masks of the scenarios that violate constraints, shape (n_scenarios,), by violated parameter.
 
-    `get_value` returns the value of a parameter. `evaluate_bound` returns the value of the text of a constraint. Both
-    values are scalars or have shape (N,).
+    `get_value` returns the value of a parameter by its name. `evaluate_bound` returns the value of the text in a
+    constraint. Both values are scalars or have shape (n_scenarios,).
     """
     masks = {}
     for declaration in declarations:
@@ -190,9 +190,8 @@ def find_constraint_violations(
                     holds &= _apply_rule(constraint.rule, value, reference, declaration.type_name)
                 except ValueError:
                     raise InputError(
-                        f"The constraint {format_constraints([constraint])} of the parameter"
-                        f" {declaration.name} has no value of"
-                        f" the type {declaration.type_name}."
+                        f"The constraint {format_constraints([constraint])} of the parameter {declaration.name} cannot"
+                        f" be checked, since not both values are of the type {declaration.type_name}."
                     ) from None
             fulfilled |= holds
         if not fulfilled.all():
@@ -206,7 +205,7 @@ def format_constraints(group: Sequence[Constraint]) -> str:
 
 
 def declarations_to_json(declarations: Sequence[ParameterDeclaration]) -> list[dict[str, Any]]:
-    """Return JSON values, the inverse of `declarations_from_json`."""
+    """Return declarations of parameters as JSON values, the inverse of `declarations_from_json`."""
     return [
         {
             "name": declaration.name,
@@ -239,12 +238,12 @@ def declarations_from_json(data: Sequence[Mapping[str, Any]]) -> tuple[Parameter
 
 def _require_known_rule(rule: str) -> str:
     if rule not in _COMPARISONS:
-        raise InputError(f"The rule '{rule}' of a constraint: {suggest_name(rule, _COMPARISONS)}")
+        raise InputError(f"A constraint has the unknown rule '{rule}'; {suggest_name(rule, _COMPARISONS)}")
     return rule
 
 
 def _apply_rule(rule: str, value: Any, bound: Any, type_name: str) -> Any:
-    """Compare values as values of the declared type; raises `ValueError` if one cannot be converted to it."""
+    """Compare a value with a bound, both as the declared type; raises `ValueError` if a conversion is impossible."""
     if type_name not in NUMERIC_TYPES and not (
         type_name == "string" and rule not in _TEXT_RULES and _are_numbers(value, bound)
     ):

@@ -34,7 +34,7 @@ def read_distribution_file(path: Path | str, cache: XmlFileCache | None = None) 
 
 
 def read_scenario_path(path: Path | str, cache: XmlFileCache | None = None) -> Path:
-    """Return the scenario that a ParameterValueDistribution file belongs to."""
+    """Return the path of the scenario file that a ParameterValueDistribution file belongs to."""
     file = _find_distribution_element(path, cache).find("ScenarioFile")
     name = "" if file is None else file.get("filepath", "")
     if not name or re.match(r"[A-Za-z][A-Za-z0-9+.-]+:", name):
@@ -44,7 +44,10 @@ def read_scenario_path(path: Path | str, cache: XmlFileCache | None = None) -> P
 
 
 def remove_from_value_sets(parameter: Parameter, names: set[str]) -> Parameter | None:
-    """Remove parameters that are varied separately from a parameter with value sets; None if no parameter is left."""
+    """Remove scenario parameters from the value sets of a parameter, so that they can be varied separately.
+
+    A parameter without value sets is returned unchanged. None if the value sets become empty.
+    """
     if not parameter.value_sets:
         return parameter
     sets = tuple(
@@ -63,7 +66,7 @@ def _find_distribution_element(path: Path | str, cache: XmlFileCache | None) -> 
 
 
 def _read_value_sets(element: Any, path: str) -> Parameter:
-    """Read parameters that vary together, as one parameter with one choice per set."""
+    """Read scenario parameters that vary together, as one parameter with one choice for each set of values."""
     sets = []
     for value_set in element.iterfind("ValueSetDistribution/ParameterValueSet"):
         members = [(e.get("parameterRef", "").lstrip("$"), e.get("value", "")) for e in value_set.iterchildren("*")]

@@ -37,7 +37,7 @@ class Distribution:
 
     @property
     def is_discrete(self) -> bool:
-        """Whether the distribution is discrete."""
+        """True for a discrete distribution (``"poisson"`` or ``"set"``)."""
         return self.kind in ("poisson", "set")
 
     def quantiles(self, probabilities: FloatArray) -> FloatArray:
@@ -62,7 +62,7 @@ class Distribution:
         return float(_truncated_normal(*self._truncated_normal_arguments()).cdf(value))
 
     def cumulative_probabilities(self) -> FloatArray:
-        """Return 0 and the cumulative probability of each value, shape (n + 1,); discrete distributions only."""
+        """Return 0 and the cumulative probabilities of all n values, shape (n + 1,); discrete distributions only."""
         if self.kind == "set":
             return _cumulative_fractions(np.array(self.shape_parameters))
         return _cumulative_fractions(_poisson_probabilities(self.low, self.high, self.shape_parameters[0]))
@@ -116,8 +116,8 @@ def distribution_from_json(data: Mapping[str, Any]) -> Distribution:
 def read_distribution(element: etree._Element, path: str) -> tuple[Distribution, tuple[str, ...]]:
     """Read a ``StochasticDistribution``; also return the values of a probability set (else empty).
 
-    The expected value and variance of a log-normal distribution are read as those of the logarithm, as in the C++
-    standard library. If the file has no bounds, 0.01 % of the probability is cut off at each end.
+    The expected value and variance of a log-normal distribution are read as mean and variance of the logarithm, as in
+    the C++ standard library. If the file has no bounds, 0.01 % of the probability is cut off at each end.
     """
     where = f"{path}, parameter {element.get('parameterName', '')}"
     law, choices = _read_untruncated_distribution(element, where)
@@ -162,7 +162,7 @@ def _read_untruncated_distribution(element: etree._Element, location: str) -> tu
     else:
         low, high = _read_range_limits(span, location)
         if kind == "lognormal" and high <= 0:
-            raise InputError(f"{location}: a log-normal value is above 0, the range ends at {high:g}.")
+            raise InputError(f"{location}: log-normal values are above 0, but the range ends at {high:g}.")
     return Distribution(kind, low, high, (mean, deviation)), ()
 
 
@@ -210,7 +210,7 @@ def _read_poisson(element: etree._Element, location: str) -> Distribution:
     shares = _poisson_probabilities(low, high, mean)
     likely = np.flatnonzero(shares > _MIN_PROBABILITY * shares.sum())
     if likely.size == 0:
-        raise InputError(f"{location}: the range has almost no probability; move it to {mean:g}.")
+        raise InputError(f"{location}: the range has almost no probability; move it to the expected value {mean:g}.")
     return Distribution("poisson", low + float(likely[0]), low + float(likely[-1]), (mean,))
 
 

@@ -105,7 +105,7 @@ class ScenarioFile:
         return self._files.get_root(self.path)
 
     def parse_unnormalized(self) -> etree._Element:
-        """Parse the file again without normalizing it."""
+        """Parse the file again, without correcting violations of the standard."""
         return parse_xml(self._files.read_bytes(self.path), self.path)
 
     def get_root(self, path: Path) -> etree._Element:
@@ -117,7 +117,7 @@ class ScenarioFile:
         self._files.update(files)
 
     def used_elements(self) -> list[tuple[Path, etree._Element]]:
-        """Return path and element of everything that was used: roots of files, single entries of catalogs."""
+        """Return path and root element of each parsed file; for a catalog file, path and element of each used entry."""
         parts = []
         for path, root in self._files.parsed_roots().items():
             catalog = etree.ElementBase.find(root, "Catalog") if root.tag == "OpenSCENARIO" else None
@@ -174,11 +174,11 @@ class ScenarioFile:
 
     @property
     def is_left_handed(self) -> bool:
-        """Whether positions are in CARLA's left-handed axes, unlike those of the road file."""
+        """True if positions are in CARLA's left-handed axes; the axes of the road file are right-handed."""
         return find_left_handed_header(self.root) is not None
 
     def left_handed_notices(self) -> tuple[Notice, ...]:
-        """Return a notice that positions are mirrored, if the axes are left-handed."""
+        """Return a notice that positions are mirrored if the axes are left-handed; otherwise empty."""
         header = find_left_handed_header(self.root)
         if header is None:
             return ()
@@ -220,14 +220,17 @@ class ScenarioFile:
 
     @cached_property
     def drivers(self) -> dict[str, str]:
-        """The driver that each entity's controller requests by a property; only entities with such a property."""
+        """Drivers that controllers request by the property ``cornercase.driver``, by entity.
+
+        Entities whose controller requests no driver are missing.
+        """
         drivers = {e.get("name", ""): self._requested_driver(e) for e in self.root.iterfind("Entities/ScenarioObject")}
         return {name: driver for name, driver in drivers.items() if driver is not None}
 
     def may_have_driver(self, entity: str) -> bool:
-        """Whether the file gives an entity a driver of cornercase, at the start or perhaps while the storyboard runs.
+        """Return whether the file may give an entity a driver of cornercase, at the start or in the storyboard.
 
-        An action that assigns a controller from a catalog is assumed to do so, for any entity.
+        A storyboard action that assigns a catalog controller, or a controller with a driver, counts for every entity.
         """
         # Iterating over all elements does not mark them as used.
         actions = (element for element in self.root.iter() if element.tag == "AssignControllerAction")
@@ -265,7 +268,7 @@ class ScenarioFile:
             )
 
     def require_declared(self, names: tuple[str, ...] | list[str]) -> None:
-        """Raise `InputError` for a name that is neither a declared parameter nor one of an entity's driver."""
+        """Raise `InputError` for a name that is neither a declared parameter nor an option of an entity's driver."""
         for name in names:
             if name in self.parameters or self.driver_parameters([name]):
                 continue
@@ -275,9 +278,9 @@ class ScenarioFile:
             raise InputError(f"{self.path}: declares no parameter '{name}'{also}; {suggest_name(name, possible)}")
 
     def driver_parameters(self, names: Iterable[str]) -> dict[str, tuple[str, str]]:
-        """Return entity and option of the names that mean a parameter of an entity's driver, such as ``Ego.reaction``.
+        """Return entity and option for each name of a driver option, such as ``Ego.reaction``.
 
-        A name that the file declares is none of them.
+        Other names, and names that the file declares as parameters, are left out.
         """
         targets = {}
         for name in names:
@@ -288,9 +291,9 @@ class ScenarioFile:
         return targets
 
     def resolve_path(self, reference: str, description: str) -> Path:
-        """Return a path that the file contains, resolved from the folder of the file.
+        """Return a path as written in the scenario file, resolved from the folder of this file.
 
-        `description` names it in messages. Raises `InputError` for network addresses and invalid file names.
+        `description` names the path in messages. Raises `InputError` for network addresses and invalid file names.
         """
         if (
             any(len(part.encode()) > _MAX_FILE_NAME_BYTES for part in Path(reference).parts)
@@ -314,7 +317,7 @@ class ScenarioFile:
         )
 
     def scope(self, values: Sequence[Mapping[str, Value]]) -> Scope:
-        """Return the parameters of the file, for concrete scenarios with these values."""
+        """Create the scope (parameter values for reading attributes) of concrete scenarios with these values."""
         return Scope.from_file(str(self.path), self.root, values, self.find_catalog_entry)
 
     def _vehicle_of_agent_profile(self, profiles_path: Path, profile: str) -> etree._Element:
@@ -367,7 +370,7 @@ class ScenarioFile:
 
     @cached_property
     def profiles_files(self) -> tuple[Path, ...]:
-        """The path of the profiles file of openPASS, if the scenario refers to one; the file may be missing."""
+        """Path of openPASS's ``ProfilesCatalog.xml``, which may be missing; empty if the scenario does not use it."""
         return (self.path.with_name(PROFILES_FILE),) if uses_agent_profiles(self._unchecked_root) else ()
 
     def road_file_as_written(self) -> str:
@@ -376,12 +379,12 @@ class ScenarioFile:
         return "" if file is None else file.get("filepath", "")
 
     def road_path_for(self, values: Mapping[str, Value] | None = None) -> Path | None:
-        """Return the path of the road file for parameter values (default: the declared ones); None without a file."""
+        """Return the path of the road file for parameter values (default: declared values); None without road file."""
         reference = self.road_reference_for(values)
         return self.road_path(reference) if reference else None
 
     def road_reference_for(self, values: Mapping[str, Value] | None = None) -> str:
-        """Return the road file as written in the scenario, with parameters replaced; empty if there is none."""
+        """Return the road file as written in the scenario, with parameters replaced; empty without road file."""
         return self._replace_parameter(self.road_file_as_written(), values or {})
 
     def road_path(self, reference: str) -> Path:
@@ -426,7 +429,7 @@ class ScenarioFile:
         return f"there is no road file {description}; {describe_how_to_get_map(reference)}"
 
     def road_path_next_to_scenario(self, path: Path) -> Path:
-        """Return where the road file `path` would be found next to the scenario, for example on another machine.
+        """Return the path of a road file in a copy of the scenario that needs no map folders.
 
         A file from a map folder moves to the folder of the scenario. Any other path is returned unchanged.
         """
@@ -436,7 +439,7 @@ class ScenarioFile:
         return path if not reference or self.resolve_path(reference, "road file") == path else default
 
     def road_paths(self) -> tuple[Path, ...]:
-        """Return the paths of all road files: the file's own, and those that a varied parameter can select."""
+        """Return the paths of the road file and of all road files that a varied parameter can select."""
         road = self.road_path_for()
         varied = [self.road_path(reference) for reference in self._varied_roads]
         return tuple(dict.fromkeys([*([] if road is None else [road]), *varied]))
@@ -467,7 +470,7 @@ class ScenarioFile:
         return files
 
     def has_same_content(self, other: ScenarioFile) -> bool:
-        """Whether another scenario has the same path and the same file contents."""
+        """Return whether another scenario has the same path and the same file contents."""
         return self is other or (self.path == other.path and self.fingerprint() == other.fingerprint())
 
     def _compute_fingerprint(self) -> str:
@@ -497,6 +500,9 @@ def requested_driver(scenario_object: etree._Element) -> str | None:
 
 
 def driver_of_controller(controller: etree._Element) -> str | None:
-    """Return the driver that a ``Controller`` requests; None if it requests none, and is then not marked as used."""
+    """Return the driver that a ``Controller`` requests; None if no driver is requested.
+
+    Only a controller that requests a driver is marked as used.
+    """
     item = find_by_name(find_untracked(controller, "Properties", "Property"), DRIVER_PROPERTY)
     return None if item is None else item.get("value")

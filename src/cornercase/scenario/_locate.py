@@ -22,9 +22,9 @@ def find_scenario_file(
 ) -> tuple[ScenarioFile | None, list[Path]]:
     """Search folders, down to two levels below them, for the scenario file with a fingerprint.
 
-    Return the scenario, or None, and the files that were passed over: they have the same name but other content.
-    Directly in `folders`, a file of any name can match. `file_name` is only compared with names in these folders, and
-    never opened as a path.
+    Return the scenario, or None, and the searched files that have the same name but other content. Directly in
+    `folders`, a file of any name can match. `file_name` is only compared with names in these folders, and never opened
+    as a path.
     """
     changed: list[Path] = []
     for folder in folders:
@@ -37,7 +37,7 @@ def find_scenario_file(
 
 
 def read_if_fingerprint_matches(path: Path, fingerprint: str, space: ParameterSpace) -> ScenarioFile | None:
-    """Return the scenario in a file if its fingerprint matches; None if not, or if the file cannot be read."""
+    """Return the scenario in a file if its fingerprint matches; None for another fingerprint or an unreadable file."""
     try:
         scenario = add_varied_roads(ScenarioFile(path), space)
         return scenario if scenario.fingerprint() == fingerprint else None
@@ -68,7 +68,7 @@ def _is_folder(entry: Path) -> bool:
     try:
         return entry.is_dir()
     except OSError:
-        # A link to where this user may not look.
+        # A link whose target this user may not read.
         return False
 
 

@@ -88,7 +88,7 @@ class ConcreteScenario:
         Returns
         -------
         ConcreteScenario
-            Unchanged if it has no parsed file.
+            The scenario itself if `file` is None.
 
         Raises
         ------
@@ -138,7 +138,7 @@ class LogicalScenario:
     space : ParameterSpace
         Varied parameters and their ranges.
     fingerprint : str
-        SHA-256 of the scenario file, its catalogs and its road file; also of all road files that the space names.
+        SHA-256 of the scenario file, its catalogs, and all road files that the scenario or the space names.
     file : ScenarioFile, optional
         The parsed file.
 
@@ -184,10 +184,10 @@ class LogicalScenario:
         scenario : path or ScenarioFile, optional
             OpenSCENARIO file; by default the file that `space` names.
         space : path, optional
-            ParameterValueDistribution file. Without it and `ranges` nothing is varied, until `vary` says what.
+            ParameterValueDistribution file. Without `space` and `ranges`, nothing is varied until `vary` is called.
         ranges : sequence of str or mapping
-            ``["NAME=LOW:HIGH[:STEP]"]`` or ``{"NAME": (LOW, HIGH)}``; they extend the space or replace its ranges. A
-            name is that of a declared parameter, or an option of an entity's driver: ``Ego.reaction=0.1:0.6``.
+            ``["NAME=LOW:HIGH[:STEP]"]`` or ``{"NAME": (LOW, HIGH)}``; added to the space, or replacing its range of
+            the same name. NAME is a declared parameter, or an option of an entity's driver: ``Ego.reaction=0.1:0.6``.
         continuous : bool, default False
             Treat ranges with steps as continuous.
 
@@ -198,7 +198,8 @@ class LogicalScenario:
         Raises
         ------
         InputError
-            A file cannot be used, or a varied parameter is neither declared in the scenario nor one of an entity.
+            A file cannot be used, or a varied parameter is neither declared in the scenario nor an option of an
+            entity's driver.
 
         Examples
         --------
@@ -225,7 +226,11 @@ class LogicalScenario:
 
     @classmethod
     def _from_space(cls, file: ScenarioFile, space: ParameterSpace) -> Self:
-        """Check the parameters against their declarations, and add their types, constraints and roads."""
+        """Create a logical scenario from a file and a space.
+
+        The file must declare all varied parameters. Their types and constraints, and the road files that they can
+        select, are added.
+        """
         file.require_declared(list(space.assigned_names))
         declarations = read_declarations(file.root, str(file.path))
         space = space.with_types(declarations, str(file.path)).with_constraints(declarations, str(file.path))
@@ -234,17 +239,17 @@ class LogicalScenario:
 
     @suggest_arguments
     def vary(self, name: str, low: float, high: float, *, step: float | None = None) -> Self:
-        """Return a scenario in which a parameter has this range; all other parameters stay.
+        """Return the scenario with one parameter varied in a range; all other parameters stay as they are.
 
         Parameters
         ----------
         name : str
             A parameter that the scenario file declares, or an option of an entity's driver, as in ``"Ego.reaction"``.
-            It is added to the space, or its range is replaced.
+            The parameter is added to the space; if the space has the parameter, its range is replaced.
         low, high : float
             Bounds of the range, in the parameter's unit. Equal bounds fix the parameter: each scenario has this value.
         step : float, optional
-            Distance of two values; by default all values between the bounds are possible.
+            Distance between successive values; by default all values between the bounds are possible.
 
         Returns
         -------
@@ -253,11 +258,11 @@ class LogicalScenario:
         Raises
         ------
         InputError
-            The name is that of a number of the file that is no parameter, or the range is invalid.
+            `name` is neither a declared parameter nor an option of an entity's driver, or the range is invalid.
 
         See Also
         --------
-        cornercase.scenario.vary : Varies numbers that are no parameters.
+        cornercase.scenario.vary : Varies numbers of the file that are not declared as parameters.
 
         Examples
         --------
@@ -277,19 +282,19 @@ class LogicalScenario:
             variable.name == name and not variable.is_declared for variable in list_variables(self.scenario_file)
         ):
             raise InputError(
-                f"`name` {name}: is a number of the file, and no parameter; make it one with"
+                f"`name` {name}: is a number of the file, but not a parameter; make it a parameter with"
                 f" `cornercase.scenario.vary({str(self.path)!r}, ['{name}={low:g}:{high:g}'], 'varied.xosc')`."
             )
         varied = create_range(name, low, high, step, location, may_be_fixed=True)
         return self._from_space(self.scenario_file, self.space.with_parameters([varied]))
 
     def concrete_scenario(self, values: Mapping[str, Value], seed: int = 0) -> ConcreteScenario:
-        """Return a concrete scenario.
+        """Return the concrete scenario with the given parameter values.
 
         Parameters
         ----------
         values : mapping of str to float or str
-            Parameter values; the others keep the defaults of the file.
+            Values by parameter name; all other parameters have the defaults of the file.
         seed : int, default 0
             Seed of the random numbers in this run.
 
@@ -311,9 +316,9 @@ class LogicalScenario:
 
 
 def _evaluate_all_parameters(scenario: ScenarioFile, assigned: Mapping[str, Value]) -> dict[str, Value]:
-    """Return the values of all parameters with their declared types: assigned values, else evaluated defaults.
+    """Return the assigned or default value of each declared parameter, converted to its declared type.
 
-    Values of parameters that the file does not declare stay as they are.
+    Assigned values of names that the file does not declare, such as options of drivers, stay as they are.
     """
     declarations = {
         declaration.name: declaration for declaration in read_declarations(scenario.root, str(scenario.path))

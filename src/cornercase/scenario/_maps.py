@@ -22,13 +22,13 @@ _NETWORK_ADDRESS: Final = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:|//|\\\\")
 
 
 def is_network_address(text: str) -> bool:
-    """Whether a text refers to another machine."""
+    """Return whether a text is the address of a file on another machine, such as ``https://…``."""
     return _NETWORK_ADDRESS.match(text) is not None
 
 
 @contextmanager
 def search_maps_in(folders: Sequence[Path]) -> Iterator[None]:
-    """Search these folders for maps first, as long as the block runs; also in child processes."""
+    """Search `folders` first for maps (road files known by name) within a ``with`` block, also in child processes."""
     for folder in folders:
         _require_folder("`maps`", str(folder))
         if os.pathsep in str(folder):
@@ -48,7 +48,7 @@ def search_maps_in(folders: Sequence[Path]) -> Iterator[None]:
 
 
 def map_folders() -> tuple[Path, ...]:
-    """Return the map folders in the environment variable, in search order; raises `InputError` if one is missing."""
+    """Return the folders in ``CORNERCASE_MAPS``, in search order; raises `InputError` if a folder does not exist."""
     folders = [folder for folder in os.environ.get(MAPS_VARIABLE, "").split(os.pathsep) if folder.strip()]
     for folder in folders:
         _require_folder(MAPS_VARIABLE, folder)

@@ -220,7 +220,7 @@ def _lowercase_boolean(element: etree._Element, key: str, value: str) -> None:
 
 
 def _add_missing_attributes(element: etree._Element) -> None:
-    """Add missing attributes that have only one possible value."""
+    """Add missing mandatory attributes with default values; also correct the letter case of their names."""
     tag = str(element.tag)
     needed = _DEFAULTS.get(tag)
     if needed is None:

@@ -22,7 +22,7 @@ def profiles_file_name(catalog_name: str) -> str:
 
 
 def uses_agent_profiles(root: etree._Element) -> bool:
-    """Whether an entity of a scenario is an agent profile."""
+    """Return whether a scenario refers to agent profiles of openPASS."""
     return any(
         profiles_file_name(str(reference.attrib.get("catalogName", "")))
         for reference in iter_descendants_untracked(root, "CatalogReference")
@@ -57,7 +57,7 @@ def agent_profile_names(profiles: etree._Element) -> list[str]:
 
 
 def record_profile_replacement(root: etree._Element, profile_name: str, models: list[str]) -> None:
-    """Note on the references to an agent profile that its first vehicle model replaces it."""
+    """Note that the first of `models` replaces an agent profile, on each element that refers to the profile."""
     choice = f", the most probable of {len(models)}" if len(models) > 1 else ""
     reason = (
         f"names the agent profile '{profile_name}' of openPASS, a vehicle with a driver and sensors; only its vehicle"

@@ -39,8 +39,8 @@ class Parameter:
     unit : str
         Unit for tables and axes; empty if unknown.
     distribution : Distribution or None
-        Likely values cover a larger part of the unit interval, since its inverse distribution function maps the
-        interval to values. None means uniform.
+        Distribution of the values; None means uniform. Its inverse distribution function maps the unit interval to
+        values, so likely values cover a larger part of the interval.
     value_sets : tuple of tuple of (str, str)
         For each choice, the names and values of the scenario parameters that it sets together. Empty if a choice sets
         only the scenario parameter called `name`.
@@ -115,7 +115,7 @@ class Parameter:
         return tuple(dict(self.value_sets[0])) if self.value_sets else (self.name,)
 
     def assignment_at(self, unit_position: float) -> dict[str, Value]:
-        """Return the values of the scenario parameters at a position of the unit interval.
+        """Return the scenario parameters that this parameter sets at a position of the unit interval, and their values.
 
         Parameters
         ----------
@@ -128,7 +128,7 @@ class Parameter:
         return {name: value for name, (value,) in self.assignments_at(np.array([unit_position])).items()}
 
     def assignments_at(self, unit_positions: FloatArray) -> dict[str, list[Value]]:
-        """Return the values of the scenario parameters at many positions of the unit interval.
+        """Return the scenario parameters that this parameter sets at positions of the unit interval, and their values.
 
         Parameters
         ----------
@@ -154,7 +154,7 @@ class Parameter:
         Returns
         -------
         float or str
-            If a choice sets several values together, the choice.
+            The choice, if the choices set several scenario parameters together.
 
         Raises
         ------
@@ -166,7 +166,7 @@ class Parameter:
         for choice, members in zip(self.choices, self.value_sets, strict=True):
             if all(str(values.get(name)) == value for name, value in members):
                 return choice
-        raise InputError(f"No value set of {self.name} has these values.")
+        raise InputError(f"No value set of the varied parameters {self.name} has the values of the scenario.")
 
     def extract_number(self, values: Mapping[str, Value]) -> float:
         """Return the value of this parameter in a concrete scenario, as a number.
@@ -267,7 +267,7 @@ class Parameter:
         return np.asarray(np.minimum(np.floor(unit_positions * size), size - 1), dtype=np.int64)
 
     def level_midpoints(self, indices: IntArray) -> FloatArray:
-        """Return the middle of the part of the unit interval that each step or choice has.
+        """Return the middle of the part of the unit interval that each step or choice covers.
 
         Parameters
         ----------
@@ -292,7 +292,7 @@ class Parameter:
     def _level_edges(self) -> FloatArray | None:
         """Edges of the parts of the unit interval that steps or choices cover, shape (size + 1,).
 
-        None if all are equal.
+        None for a continuous range, or if all parts have the same length.
         """
         if self.size is None or self.distribution is None:
             return None

@@ -60,7 +60,7 @@ _ACCELERATION_LIMIT: Final = replace(_ACCELERATION, minimum=0.0)
 _JERK: Final = Quantity("m/s³", relative_width=0.3, half_width_at_zero=1.0, minimum=0.0)
 _FACTOR: Final = Quantity("", relative_width=0.3, half_width_at_zero=0.5)
 LANE_NUMBER: Final = Quantity(is_integer=True)
-"""Lane number; the possible ones depend on the road."""
+"""Quantity of lane numbers; the road determines the possible numbers."""
 _LANE_COUNT: Final = Quantity("lanes", is_integer=True)
 
 QUANTITIES: Final[Mapping[str, Mapping[str, tuple[str, Quantity]]]] = {
@@ -140,7 +140,7 @@ QUANTITIES: Final[Mapping[str, Mapping[str, tuple[str, Quantity]]]] = {
         "angleTolerance": ("tolerance", replace(_ANGLE, minimum=0.0)),
     },
 }
-"""Last part of the name, and quantity, by element and attribute."""
+"""Last part of a variable's name, and its quantity, by element and attribute."""
 
 DYNAMICS_QUANTITIES: Final = {
     "time": ("duration", _TIME),
@@ -150,10 +150,10 @@ DYNAMICS_QUANTITIES: Final = {
 """Name and quantity of a transition's value, by its dimension."""
 
 LANE_CHANGE_RATE: Final = ("rate", _SPEED_LIMIT)
-"""The same for the rate of a lane change."""
+"""Name and quantity of the rate of a lane change."""
 
 SPEED_FACTOR: Final = ("speed_factor", _FACTOR)
-"""The same for a `RelativeTargetSpeed` that is a factor."""
+"""Name and quantity of a `RelativeTargetSpeed` that is a factor."""
 
 SKIPPED_ELEMENTS: Final = frozenset({"Trajectory", "Route", "TrafficAction", "EnvironmentAction", "ControllerAction"})
 """Elements whose numbers are not listed."""

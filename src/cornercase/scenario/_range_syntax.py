@@ -19,7 +19,7 @@ _RANGE_PATTERN = re.compile(r"(?P<name>[^=]+)=(?P<low>[^:]+):(?P<high>[^:]+)(?::
 
 
 def format_ranges(ranges: object) -> tuple[str, ...]:
-    """Return ranges as ``NAME=LOW:HIGH[:STEP]`` texts; they may be such texts, or numbers by name."""
+    """Return ranges as texts ``NAME=LOW:HIGH[:STEP]``; `ranges` are such texts, or bounds by name."""
     if not isinstance(ranges, Mapping):
         return check_str_sequence("ranges", ranges)
     texts = []
@@ -56,7 +56,7 @@ def create_range(
 ) -> Parameter:
     """Create a parameter with a range; raises `InputError` if the range is invalid.
 
-    With `may_be_fixed` the bounds may be equal, which makes a range with a step and a single value.
+    With `may_be_fixed` the bounds may be equal; the range then has a step and a single value.
     """
     if not (np.isfinite(low) and np.isfinite(high)):
         raise InputError(f"{location}: the bounds of {name} must be finite.")

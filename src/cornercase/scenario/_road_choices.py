@@ -41,7 +41,7 @@ def add_varied_roads(scenario: ScenarioFile, space: ParameterSpace) -> ScenarioF
 
 
 def _road_parameters(scenario: ScenarioFile) -> set[str]:
-    """Return the parameters that determine the road file."""
+    """Return the names of the parameters that determine the road file."""
     declared = {
         element.get("name", ""): element.get("value", "")
         for element in scenario.root.iterfind("ParameterDeclarations/ParameterDeclaration")
@@ -57,6 +57,6 @@ def _road_parameters(scenario: ScenarioFile) -> set[str]:
 
 
 def _assignments_of(parameter: Parameter) -> list[dict[str, Value]]:
-    """Return the scenario parameters and values that each choice of a parameter sets."""
+    """Return the scenario parameters and values that each step or choice of a varied parameter sets."""
     middles = parameter.level_midpoints(np.arange(min(parameter.size or 0, _MAX_COMBINATIONS)))
     return [parameter.assignment_at(float(u)) for u in middles]

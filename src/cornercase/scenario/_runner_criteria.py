@@ -17,14 +17,14 @@ _PARAMETER_CONDITION_RULE: Final = "a ParameterCondition refers to a declared pa
 
 @dataclass(frozen=True)
 class RunnerCriterion:
-    """A requested criterion, such as ``"CollisionTest"``, and its threshold; None if the file has none."""
+    """A criterion of ScenarioRunner, such as ``"CollisionTest"``; `threshold` is None if the file gives none."""
 
     name: str
     threshold: float | None
 
 
 def read_runner_criteria(root: etree._Element, scope: Scope) -> tuple[RunnerCriterion, ...]:
-    """Return the criteria that the stop triggers of a scenario file request, in file order."""
+    """Return the criteria of ScenarioRunner that the stop triggers of a scenario file request, in file order."""
     criteria: list[RunnerCriterion] = []
     for trigger in iter_descendants_untracked(root, "StopTrigger"):
         for condition in iter_descendants_untracked(trigger, "ParameterCondition"):
@@ -39,7 +39,7 @@ def read_runner_criteria(root: etree._Element, scope: Scope) -> tuple[RunnerCrit
 
 
 def runner_criterion_name(element: etree._Element) -> str:
-    """Return the criterion that a ``ParameterCondition`` requests; empty if it is an ordinary condition."""
+    """Return the criterion of ScenarioRunner that a ``ParameterCondition`` requests; empty for other conditions."""
     name = _condition_name(element)
     return name.removeprefix(_CRITERION_PREFIX) if name.startswith(_CRITERION_PREFIX) else ""
 

@@ -61,7 +61,11 @@ class Scope(AttributeReader):
         scenario_values: Sequence[Mapping[str, Value]],
         catalog_lookup: CatalogLookup | None = None,
     ) -> Scope:
-        """Create the scope of a scenario file for N concrete scenarios; errors as in `from_declarations`."""
+        """Create the scope of a file; for each scenario, `scenario_values` has the values other than defaults.
+
+        Raises `InputError` for undeclared parameters and for values that cannot be evaluated. Raises `BatchSplitError`
+        if a parameter that is not numeric has different values in the scenarios.
+        """
         scope = cls.from_declarations(file_name, read_declarations(root, file_name), scenario_values, catalog_lookup)
         scope._left_handed = find_left_handed_header(root) is not None
         return scope
@@ -81,7 +85,7 @@ class Scope(AttributeReader):
         scenario_values: Sequence[Mapping[str, Value]],
         catalog_lookup: CatalogLookup | None = None,
     ) -> Scope:
-        """Create the scope of declared parameters; `scenario_values` has the values that differ from the declared ones.
+        """Create the scope of declarations; for each scenario, `scenario_values` has the values other than defaults.
 
         Raises `InputError` for undeclared parameters and for values that cannot be evaluated. Raises `BatchSplitError`
         if a parameter that is not numeric has different values in the scenarios.
@@ -134,9 +138,9 @@ class Scope(AttributeReader):
     def _common_text(
         self, declaration: ParameterDeclaration, assigned: Mapping[int, Value], origin_parameters: set[str]
     ) -> Any:
-        """Return the value that a parameter which is not numeric has in all scenarios.
+        """Return the common value of a parameter that is not numeric.
 
-        `BatchSplitError` if they differ.
+        Raises `BatchSplitError` if the scenarios have different values.
         """
         texts = {str(self._convert_scalar_to_type(value, declaration)) for value in assigned.values()}
         if len(assigned) < self.n_scenarios:
@@ -179,7 +183,7 @@ class Scope(AttributeReader):
         return inner
 
     def read_declared_values(self, root: etree._Element, path: str, type_attribute: str) -> dict[str, Any]:
-        """Read the initial values of declared variables, or of similar declarations, by name; shape (N,) each.
+        """Read the initial values in declarations of variables or similar elements: an array of shape (N,) by name.
 
         `path` is the path from `root` to the declarations. `type_attribute` is the attribute with their type.
         """
@@ -204,11 +208,11 @@ class Scope(AttributeReader):
         return values
 
     def find_violations_in(self, root: etree._Element) -> dict[str, BoolArray]:
-        """Return which scenarios violate constraints of a file's parameters: a mask (N,) per violated parameter."""
+        """Return masks of the scenarios that violate constraints of a file, shape (N,), by violated parameter."""
         return self.find_violations(read_declarations(root, self.file_name))
 
     def find_violations(self, declarations: Sequence[ParameterDeclaration]) -> dict[str, BoolArray]:
-        """Return which scenarios violate constraints of the declarations: a mask (N,) for each violated parameter."""
+        """Return masks of the scenarios that violate constraints of declarations, shape (N,), by violated parameter."""
         masks: dict[str, BoolArray] = {}
         for declaration in declarations:
             with locate_input_errors(declaration, self.file_name):
@@ -224,7 +228,10 @@ class Scope(AttributeReader):
         return evaluate_expression(text, self.parameter_values) if text.startswith("$") else text
 
     def resolve_element_or_reference(self, parent: etree._Element, tag: str) -> tuple[etree._Element, Scope]:
-        """Return a child element, or the catalog entry that stands in its place; and the scope to read it in."""
+        """Return the child element with a tag, or the entry of the ``CatalogReference`` that replaces this element.
+
+        Also return the scope, which has the parameter values for reading the element.
+        """
         element = parent.find(tag)
         if element is not None:
             return element, self.nested_scope(element)
@@ -237,7 +244,7 @@ class Scope(AttributeReader):
         return self.resolve_catalog_reference(reference, tag)
 
     def resolve_catalog_reference(self, reference: etree._Element, *allowed_tags: str) -> tuple[etree._Element, Scope]:
-        """Return the entry of a ``CatalogReference``, and the scope to read it in."""
+        """Return the entry of a ``CatalogReference``, and the scope with the parameter values for its attributes."""
         assert self._catalog_lookup is not None
         if self._reference_depth > _MAX_REFERENCE_DEPTH:
             raise InputError(
@@ -264,7 +271,7 @@ class Scope(AttributeReader):
         self._origin_parameters[declaration.name] = self.origin_parameters(declaration.value)
 
     def _convert_to_type(self, value: Any, declaration: ParameterDeclaration) -> Any:
-        """Convert the value of a parameter to its declared type; the value is a scalar or has one item per scenario."""
+        """Convert a scalar to the declared type of a parameter; an array (one item per scenario) is only checked."""
         if isinstance(value, np.ndarray):
             if declaration.type_name in INTEGER_TYPES:
                 broken = np.isfinite(value) & (np.abs(value - np.round(value)) > 1e-6)

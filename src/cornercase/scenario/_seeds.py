@@ -12,15 +12,15 @@ from cornercase.scenario._types import format_value
 
 
 def seed_of_run(seed: int, run: int) -> int:
-    """Return the seed of one of the runs of a scenario; run 0 has the seed of the study."""
+    """Return the seed of run number `run` of a scenario; run 0 has `seed` itself."""
     return seed + (run << 32)
 
 
 class ScenarioSeeds(Sequence[int]):
-    """A seed for each of N concrete scenarios: a hash of the seed of its run and of its parameter values.
+    """Seeds of N concrete scenarios, each a hash of the seed of the run and of the parameter values.
 
-    Scenarios have the same seed alone and in a batch, and whether their values are given or are those of their file.
-    `values` has a scalar or an array of shape (N,) for each parameter. A seed is computed when it is asked for.
+    The seed of a scenario does not depend on the other scenarios, nor on whether a value is given or a default of the
+    file. `values` has a scalar or an array of shape (N,) for each parameter. Each seed is computed when it is read.
     """
 
     def __init__(self, run_seeds: Sequence[int], values: Mapping[str, Any]) -> None:

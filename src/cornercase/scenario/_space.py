@@ -88,7 +88,7 @@ class ParameterSpace:
         return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
 
     def require_parameters(self) -> Self:
-        """Return the space itself.
+        """Return the space itself if it has parameters; otherwise raise an error.
 
         Returns
         -------
@@ -97,7 +97,7 @@ class ParameterSpace:
         Raises
         ------
         InputError
-            It has no parameters.
+            The space has no parameters.
         """
         if not self.parameters:
             raise InputError("The parameter space is empty; vary at least one parameter.")
@@ -120,7 +120,7 @@ class ParameterSpace:
 
     @property
     def size(self) -> int | None:
-        """Number of concrete scenarios; None if infinite."""
+        """Number of concrete scenarios, including those that violate constraints; None if infinite."""
         product = 1
         for parameter in self.parameters:
             if parameter.size is None:
@@ -178,7 +178,7 @@ class ParameterSpace:
 
     @staticmethod
     def read_scenario_path(path: Path | str, cache: XmlFileCache | None = None) -> Path:
-        """Return the scenario that a ParameterValueDistribution file belongs to.
+        """Return the path of the scenario file that a ParameterValueDistribution file belongs to.
 
         Parameters
         ----------
@@ -198,7 +198,7 @@ class ParameterSpace:
         return read_scenario_path(path, cache)
 
     def with_ranges(self, ranges: Sequence[str]) -> ParameterSpace:
-        """Return the space with parameters added, or replaced if the name exists.
+        """Return the space with ranges added; a range replaces a parameter of the same name.
 
         Parameters
         ----------
@@ -217,7 +217,9 @@ class ParameterSpace:
         return self.with_parameters(parse_ranges(ranges))
 
     def with_parameters(self, added: Sequence[Parameter]) -> ParameterSpace:
-        """Return the space with parameters added, or replaced if the name exists.
+        """Return the space with parameters added.
+
+        An added parameter replaces a parameter of the same name, and takes over its unit.
 
         Parameters
         ----------
@@ -268,7 +270,7 @@ class ParameterSpace:
         Returns
         -------
         ParameterSpace
-            Ranges of integers get integer steps, those of booleans the choices false and true.
+            Integer parameters get integer steps. Boolean parameters get the choices false and true.
 
         Raises
         ------
@@ -298,7 +300,8 @@ class ParameterSpace:
         Raises
         ------
         InputError
-            None of 2048 random points fulfils the constraints.
+            No tested point fulfils the constraints. The tested points are 2048 random points, or all points of a
+            smaller space.
         """
         if not self.parameters or not any(declaration.constraint_groups for declaration in declarations):
             return ParameterSpace(self.parameters)
@@ -311,11 +314,12 @@ class ParameterSpace:
         return ParameterSpace(self.parameters, declarations)
 
     def is_admissible(self, points: FloatArray) -> BoolArray:
-        """Return which points fulfil the constraints.
+        """Return a mask of the points that fulfil the constraints.
 
         Parameters
         ----------
         points : ndarray of float64, shape (n, d)
+            Points of the unit cube, with one coordinate for each parameter.
 
         Returns
         -------
@@ -326,12 +330,12 @@ class ParameterSpace:
         return fulfils_constraints(self.declarations, self.values(points))
 
     def values(self, points: FloatArray) -> list[dict[str, Value]]:
-        """Return the parameter values of points.
+        """Return the parameter values of points in the unit cube.
 
         Parameters
         ----------
         points : ndarray of float64, shape (n, d)
-            Coordinates outside are clipped.
+            One coordinate for each parameter. Coordinates are clipped to 0 to 1.
 
         Returns
         -------
@@ -347,7 +351,7 @@ class ParameterSpace:
         return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
     def points(self, values: Sequence[Mapping[str, Value]]) -> FloatArray:
-        """Return the points of parameter values, the inverse of `values`.
+        """Return the points of the unit cube that stand for parameter values, the inverse of `values`.
 
         Parameters
         ----------
@@ -356,6 +360,7 @@ class ParameterSpace:
         Returns
         -------
         ndarray of float64, shape (n, d)
+            One coordinate for each parameter.
 
         Raises
         ------
@@ -375,17 +380,20 @@ class ParameterSpace:
         Returns
         -------
         ndarray of float64, shape (1, d)
+            One coordinate for each parameter.
         """
         points = self.snap(np.concatenate([np.full((1, self.dimension), 0.5), self._constraint_test_points()]))
         return points[self.is_admissible(points)][:1]
 
     def representative_points(self) -> FloatArray:
-        """Return a few admissible points that include all choices of each parameter.
+        """Return the center point, and a few more points that together include all choices of each parameter.
+
+        Points that violate the constraints are left out.
 
         Returns
         -------
         ndarray of float64, shape (n, d)
-            The first is `center_point`.
+            The first point is `center_point`. Each point has one coordinate for each parameter.
         """
         count = max(len(parameter.choices) for parameter in self.parameters)
         points = np.full((max(count, 1), self.dimension), 0.5)
@@ -401,11 +409,12 @@ class ParameterSpace:
         return self.full_factorial() if few else np.random.default_rng(0).random((_N_TEST_POINTS, self.dimension))
 
     def snap(self, points: FloatArray) -> FloatArray:
-        """Move points to the middle of their step or choice, as they are simulated.
+        """Move each coordinate to the middle of its step or choice; coordinates of continuous ranges are only clipped.
 
         Parameters
         ----------
         points : array_like of float, shape (n, d)
+            Points of the unit cube, with one coordinate for each parameter.
 
         Returns
         -------
@@ -428,7 +437,7 @@ class ParameterSpace:
         Returns
         -------
         ndarray of float64, shape (n, d)
-            The last parameter varies fastest.
+            Points of the unit cube, with one coordinate for each parameter. The last parameter varies fastest.
         """
         axes = []
         for j, parameter in enumerate(self.parameters):
@@ -440,12 +449,14 @@ class ParameterSpace:
         return np.asarray(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, self.dimension))
 
     def probabilities(self, points: FloatArray) -> FloatArray:
-        """Return the probability of scenarios of a finite space, from the distributions of its parameters.
+        """Return the probability of the scenario at each point of a finite space, from the parameters' distributions.
+
+        Constraints are ignored.
 
         Parameters
         ----------
         points : ndarray of float64, shape (n, d)
-            Constraints are ignored.
+            Points of the unit cube, with one coordinate for each parameter.
 
         Returns
         -------
@@ -517,5 +528,5 @@ class ParameterSpace:
 
 
 def _has_discrete_distribution(parameter: Parameter) -> bool:
-    """Whether a parameter has a discrete distribution, so that it cannot become continuous."""
+    """Return whether a parameter has a discrete distribution, so that the parameter cannot become continuous."""
     return parameter.distribution is not None and parameter.distribution.is_discrete

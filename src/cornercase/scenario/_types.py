@@ -83,9 +83,9 @@ class _TypedDeclaration(Protocol):
 def find_type_errors(
     declarations: Sequence[_TypedDeclaration], scenario_values: Sequence[Mapping[str, Value]]
 ) -> dict[int, str]:
-    """Return, by index, the scenarios that have a value which does not fit its declared type, and the error.
+    """Return the first type error of each scenario that has a value of a wrong type, by index of the scenario.
 
-    An error is a sentence without full stop. Expressions are not checked.
+    Each error is a sentence without full stop. Expressions are not checked.
     """
     names = set().union(*scenario_values)
     varied = [declaration for declaration in declarations if declaration.name in names]

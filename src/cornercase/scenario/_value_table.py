@@ -33,7 +33,7 @@ class ValueRow:
 def read_value_table(path: Path, scenario: ScenarioFile) -> tuple[ValueRow, ...]:
     """Read a CSV table with one scenario per line and one column per varied parameter.
 
-    A column ``file`` is optional.
+    An optional column ``file`` names the recording of each scenario.
     """
     try:
         reader = csv.DictReader(io.StringIO(read_file(path).decode("utf-8-sig"), newline=""))

@@ -284,7 +284,7 @@ class _VariableCollector:
     def _collect_trigger(self, trigger: etree._Element | None, base: str, group: str) -> Iterator[_UnnamedVariable]:
         """Yield the numbers in the conditions of a trigger.
 
-        A condition repeated in several groups yields shared variables.
+        If several groups repeat a condition, each of its numbers is yielded once, as one variable for all copies.
         """
         identical: dict[Any, list[etree._Element]] = {}
         groups = () if trigger is None else trigger.iterfind("ConditionGroup")
@@ -298,7 +298,7 @@ class _VariableCollector:
             yield from self._collect_descendants(conditions[0], base, qualifier, group, conditions)
 
     def _is_group_never_true(self, group: etree._Element) -> bool:
-        """Whether a condition group can never be true, as when it only requests a criterion of ScenarioRunner."""
+        """Return whether a condition group can never be true, for example a request for a ScenarioRunner criterion."""
         for condition in group.iterfind("Condition/ByValueCondition/ParameterCondition"):
             name = condition.get("parameterRef", "").lstrip("$")
             if name not in self._declared_values and is_condition_never_true(condition, name):
@@ -315,7 +315,7 @@ class _VariableCollector:
     ) -> Iterator[_UnnamedVariable]:
         """Yield the numbers of an element and its descendants.
 
-        Each is shared with the equal elements `identical_elements`.
+        `identical_elements` are `top` and its copies; each number stands for the same number in all of them.
         """
         rows = zip(*(_iter_searched_elements(twin) for twin in identical_elements or [top]), strict=True)
         entries = 0
@@ -386,7 +386,7 @@ class _VariableCollector:
         )
 
     def _road_position(self, element: etree._Element) -> tuple[RoadExtent | None, int | None, float | None]:
-        """Return road, lane number and s in m of a position; None for each that is unknown."""
+        """Return road, lane number and s in m of a position; unknown parts are None."""
         if element.tag not in _ROAD_POSITION_TAGS:
             return None, None, None
         if self._roads is None:
@@ -396,7 +396,7 @@ class _VariableCollector:
         return self._roads.get(self._resolve_parameter(element.get("roadId", ""))), lane_id, s
 
     def _describe_missing_road(self) -> str:
-        """Return why the road file cannot be read; empty if it can."""
+        """Describe why the road file cannot be read, as a part of a sentence; empty if no road file is missing."""
         if "$" in self._scenario.road_reference_for():
             return "an expression names the road file"
         return self._scenario.describe_missing_road()
@@ -429,9 +429,9 @@ def _quantities_of(element: etree._Element) -> Mapping[str, tuple[str, Quantity]
 
 
 def _synchronize_prefix(element: etree._Element, top: etree._Element) -> str:
-    """Return the prefix that distinguishes the numbers of the two positions of a synchronize action.
+    """Return ``master_`` or ``target_`` for an element in one of the two positions of a synchronize action.
 
-    Otherwise empty.
+    Return an empty text for other elements.
     """
     ancestor: etree._Element | None = element.getparent()
     while ancestor is not None and ancestor is not top:
@@ -469,7 +469,7 @@ def _parameter_declarations(element: etree._Element, holder: str) -> Iterator[et
 
 
 def _to_identifier(text: str, default: str = "", max_length: int = _MAX_NAME_PART) -> str:
-    """Convert a text to a part of a name, of letters, digits, hyphens and underscores only."""
+    """Convert a text to a part of a name that has only letters, digits, hyphens and underscores."""
     identifier = re.sub(r"[^\w-]+", "_", text).strip("_-")
     return identifier[:max_length].rstrip("_-") or default
 
@@ -479,7 +479,7 @@ def _shortened_name(element: etree._Element) -> str:
 
 
 class _UniqueNames:
-    """Makes names unique."""
+    """Record of the names in use, which makes new names unique."""
 
     def __init__(self, existing: Iterable[str]) -> None:
         self._counts = dict.fromkeys(existing, 1)

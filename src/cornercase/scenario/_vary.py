@@ -57,7 +57,11 @@ class VariedScenario:
     def select(
         cls, scenario: Path | str | ScenarioFile, ranges: Sequence[str], proposed: bool = False
     ) -> VariedScenario:
-        """Select the numbers to vary in a scenario; `ranges` and `proposed` as in `vary`."""
+        """Select the numbers to vary in a scenario.
+
+        `ranges` has texts ``NAME=LOW:HIGH[:STEP]``, or ``NAME`` for the range that `list_variables` proposes. If
+        `proposed` is True, all numbers with a proposed range are varied.
+        """
         source = ScenarioFile.read(scenario.path if isinstance(scenario, ScenarioFile) else scenario)
         by_name = {
             variable.name: variable
@@ -94,29 +98,29 @@ class VariedScenario:
         Raises `InputError` if a path in the scenario is an expression, so that it cannot be adapted to the folder.
         """
         content = _original_content(self.file)
-        root, text = parse_xml(content, self.file.path), XmlEditor(content, self.file.path)
+        root, editor = parse_xml(content, self.file.path), XmlEditor(content, self.file.path)
         elements = list(root.iter("*"))
-        numbers = {element: k for k, element in enumerate(elements)}
+        element_indices = {element: k for k, element in enumerate(elements)}
         lines = []
         for variable in self.variables:
             if not variable.is_declared:
-                value = text.get_attribute(*variable.occurrences[0]).strip()
+                value = editor.get_attribute(*variable.occurrences[0]).strip()
                 kind = "integer" if variable.is_integer else "double"
                 lines.append(
                     f'<ParameterDeclaration name="{variable.parameter_name}" parameterType="{kind}" value="{value}"/>'
                 )
-                for number, attribute in variable.occurrences:
-                    text.set_attribute(number, attribute, f"${variable.parameter_name}")
+                for element_index, attribute in variable.occurrences:
+                    editor.set_attribute(element_index, attribute, f"${variable.parameter_name}")
         if lines:
-            _insert_declarations(root, numbers, text, lines)
+            _insert_declarations(root, element_indices, editor, lines)
         if not _is_same_folder(folder, self.file.path.parent):
             for element, attribute, path in _adapted_paths(self.file, root, folder):
                 _require_encodable_path(path)
-                text.set_attribute(numbers[element], attribute, path)
-        return text.edited_content()
+                editor.set_attribute(element_indices[element], attribute, path)
+        return editor.edited_content()
 
     def companion_files(self, folder: Path) -> dict[Path, bytes]:
-        """Return files that the varied scenario needs in its own folder and that are missing there, by new path."""
+        """Return the content of files that the scenario needs in `folder` but that are missing there, by new path."""
         missing: dict[Path, bytes] = {}
         for file in self.file.profiles_files:
             target = folder / file.name
@@ -132,7 +136,7 @@ class VariedScenario:
         return missing
 
     def distribution_content(self, scenario_name: str) -> bytes:
-        """Return the content of the file with the ranges, which refers to the scenario file `scenario_name`."""
+        """Return the content of the file with the parameter ranges; it names `scenario_name` as its scenario file."""
         parameters = _harmonize_steps(self.parameters)
         header = self.file.root.find("FileHeader")
         date = "" if header is None else header.get("date", "")
@@ -179,7 +183,7 @@ def vary(
     """Write a scenario in which numbers vary, and a file of their ranges next to it.
 
     Each number is replaced by a parameter, whose default value is the number. With default values, the new scenario
-    gives the same recording. Only the paths of roads and catalogs change, to fit the new folder.
+    gives the same recording. Paths of roads and catalogs are adapted to the new folder.
 
     Parameters
     ----------
@@ -214,7 +218,7 @@ def vary(
     output = validation.check_path("output", output)
     _require_encodable_path(output)
     if output.suffix.lower() != _SCENARIO_SUFFIX:
-        raise InputError(f"`output` {output}: a scenario is written; name a file that ends with {_SCENARIO_SUFFIX}.")
+        raise InputError(f"`output` {output}: the output is a scenario; use a name that ends with {_SCENARIO_SUFFIX}.")
     varied = VariedScenario.select(
         scenario, validation.check_str_sequence("vary", ranges), validation.check_bool("proposed", proposed)
     )
@@ -247,7 +251,7 @@ def _suggest_variable(name: str, variables: dict[str, Variable]) -> str:
 
 
 def _create_parameter(variable: Variable, range_: str) -> Parameter:
-    """Create the parameter that replaces a number, with a range `LOW:HIGH[:STEP]`, or the proposed one if empty."""
+    """Create the parameter that replaces a number; `range_` is ``LOW:HIGH[:STEP]``, or empty for the proposed range."""
     where = f"`vary` {variable.name}" + (f"={range_}" if range_ else "")
     if variable.reason_fixed:
         raise InputError(f"{where}: cannot be varied: {variable.reason_fixed}.")
@@ -277,7 +281,10 @@ def _create_parameter(variable: Variable, range_: str) -> Parameter:
 
 
 def _harmonize_steps(parameters: Sequence[Parameter]) -> list[Parameter]:
-    """Make all ranges stepped or all continuous, as a distribution file requires; integer ranges fit either."""
+    """Make all ranges stepped or all continuous, as a distribution file requires.
+
+    Ranges of integers fit both. Other mixtures are refused.
+    """
     with_steps = [
         parameter for parameter in parameters if parameter.step is not None and not _has_integer_steps(parameter)
     ]
@@ -293,14 +300,14 @@ def _harmonize_steps(parameters: Sequence[Parameter]) -> list[Parameter]:
 
 
 def _has_integer_steps(parameter: Parameter) -> bool:
-    """Whether a range has the steps of integers, with or without an explicit step."""
+    """Return whether a range starts at an integer and has steps of 1."""
     return parameter.step == 1.0 and parameter.low == round(parameter.low)
 
 
 def _insert_declarations(
     root: etree._Element, element_indices: dict[etree._Element, int], editor: XmlEditor, lines: list[str]
 ) -> None:
-    """Insert parameter declarations after the existing ones."""
+    """Insert lines with parameter declarations after the existing declarations of the file."""
     holder = root.find("ParameterDeclarations")
     if holder is None:
         header = root.find("FileHeader")
@@ -320,7 +327,7 @@ def _insert_declarations(
 def _adapted_paths(
     scenario: ScenarioFile, root: etree._Element, folder: Path
 ) -> Iterator[tuple[etree._Element, str, str]]:
-    """Yield element, attribute and new value of each relative path that must change in another folder."""
+    """Yield element, attribute and new value of each relative path that must change if the scenario is in `folder`."""
     declared = {str(e.get("name")): e for e in root.iterfind("ParameterDeclarations/ParameterDeclaration")}
     changed: set[etree._Element] = set()
     for element in root.iter("*"):
@@ -349,7 +356,7 @@ def _adapted_paths(
 
 
 def _adapt_relative_path(folder: Path, old_folder: Path, path: str) -> str | None:
-    """Return a relative path adapted to another folder; None if it need not change."""
+    """Return a path adapted from the old folder to a new folder; None if the path need not change."""
     posix = path.replace("\\", "/")
     if re.match(r"[A-Za-z][A-Za-z0-9+.-]*:", posix) or posix.startswith("/") or not (old_folder / posix).exists():
         return None

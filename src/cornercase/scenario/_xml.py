@@ -72,7 +72,7 @@ def _parse_strictly(data: bytes, path: Path | str) -> etree._Element:
 def _parse_leniently(data: bytes, path: Path | str) -> etree._Element | None:
     """Parse XML in which only the declaration, the encoding or comments are malformed.
 
-    None if there are other errors.
+    Return None if the XML has other errors.
     """
     try:
         text, encoding = data.decode("utf-8-sig"), "UTF-8"
@@ -112,10 +112,10 @@ def _replace_double_hyphens(text: str) -> str:
 
 
 class XmlFileCache:
-    """Files that belong together; each is read and parsed once, when it is first needed.
+    """Cache of XML files that belong together; each file is read and parsed once, when it is first needed.
 
     Parsing uses the content that was read first, so the parsed content always matches the checksum. Elements record
-    which attributes were used; a `SupportTable` reports the others.
+    which attributes were used; a `SupportTable` reports unused attributes.
     """
 
     def __init__(self) -> None:
@@ -124,11 +124,11 @@ class XmlFileCache:
         self._elements: dict[Path, list[etree._Element]] = {}
 
     def sha256(self, path: Path) -> bytes:
-        """SHA-256 of a file's content."""
+        """Return the SHA-256 of a file's content."""
         return hashlib.sha256(self.read_bytes(path)).digest()
 
     def get_root(self, path: Path) -> etree._Element:
-        """Return the normalized root element of a file; it is the same object each time, so do not change it."""
+        """Return the normalized root element of a file; do not change it, since all callers share the same object."""
         if path not in self._roots:
             self._roots[path] = root = parse_xml(self.read_bytes(path), path)
             # lxml elements lose their records when they are garbage-collected, so keep them.
@@ -143,11 +143,11 @@ class XmlFileCache:
         self._elements |= other._elements
 
     def parsed_roots(self) -> dict[Path, etree._Element]:
-        """Root elements of the files that were parsed, by path."""
+        """Return the root elements of the files that were parsed, by path."""
         return dict(self._roots)
 
     def read_bytes(self, path: Path) -> bytes:
-        """Content of a file."""
+        """Return the content of a file as it was first read."""
         if path not in self._data:
             self._data[path] = read_file(path)
         return self._data[path]
