@@ -251,7 +251,7 @@ def test_values_at_fault_cost_their_scenario_only(tmp_path):
 @pytest.mark.parametrize(
     ("wrong", "runner", "words"),
     [
-        pytest.param("", "cannot load", "did not run it to the end: KeyError: 'Ego'", marks=pytest.mark.slow),
+        pytest.param("", "cannot load", "did not run the scenario to its end: KeyError: 'Ego'", marks=pytest.mark.slow),
         pytest.param("", "fails at the end", "RuntimeError: a storyboard that is none", marks=pytest.mark.slow),
         ("die-at=30", "", "time-out of 3000ms"),
         pytest.param("lose=30", "", "time-out of 3000ms", marks=pytest.mark.slow),
@@ -308,9 +308,7 @@ def test_a_scenario_runner_of_another_version_is_said_and_tried_if_wished(scenar
         "## Table of Contents\n\n## Latest changes\n\n## CARLA ScenarioRunner 0.9.15\n\n## CARLA ScenarioRunner 0.9.13\n"
     )
     with Served(ROAD) as server:
-        words = (
-            r"runner: ScenarioRunner 0.9.15 is not that of CARLA 0.9.16; get it by `git clone --branch v0.9.16 .*; with"
-        )
+        words = r"runner: ScenarioRunner 0.9.15 does not fit CARLA 0.9.16; get 0.9.16 by `git clone --branch v0.9.16 .*; with"
         with pytest.raises(InputError, match=words):
             run(server, scenario, scenario_runner=str(runner))
         found = run(server, scenario, {"end": 0.5}, scenario_runner=str(runner), any_version=True)
@@ -323,7 +321,9 @@ def test_a_python_without_carlas_client_is_said(tmp_path, monkeypatch):
     venv.create(bare, with_pip=False)
     python = bare / ("Scripts" if sys.platform == "win32" else "bin") / "python"
     monkeypatch.setenv("CORNERCASE_CARLA_PYTHON", str(python))
-    assert Carla.availability().problem.startswith(f"{python}: CARLA's client is not installed there; get that of")
+    assert Carla.availability().problem.startswith(
+        f"{python}: CARLA's client is not installed there; get the version of"
+    )
     monkeypatch.setenv("CORNERCASE_CARLA_PYTHON", str(tmp_path / "no python"))
     assert "no python: is no Python that can be run" in Carla.availability().problem
     done = cornercase("simulators", "--json")
@@ -336,7 +336,7 @@ def test_a_python_without_carlas_client_is_said(tmp_path, monkeypatch):
     [
         ("echo 'ImportError: libjpeg.so.8: cannot open shared object file' >&2; exit 1", "ended with exit code 1: Imp"),
         ("exit 0", "(CARLA's client ended)"),
-        ("read line; echo hello", "(CARLA's client says 'hello')"),
+        ("read line; echo hello", "(CARLA's client printed 'hello' instead of JSON)"),
     ],
 )
 def test_a_client_that_does_not_run_is_said(tmp_path, monkeypatch, script, words):
@@ -463,7 +463,9 @@ def test_an_ego_of_another_program_is_waited_for_and_left_alone(scenario):
 
 def test_an_ego_of_another_program_has_no_other_driver():
     for driver in ("normal", "cc-human"):
-        with pytest.raises(InputError, match="external_ego: something else drives Ego, too; leave out one of them"):
+        with pytest.raises(
+            InputError, match="external_ego: Ego already has an agent or a driver; leave out one of them"
+        ):
             Carla(external_ego=True, drivers={"Ego": driver})
 
 

@@ -263,7 +263,9 @@ def test_what_carla_cannot_do_with_a_driver_is_refused(tmp_path):
 
     assert "Any other driver can drive the ego (Ego) only." in refused(drivers={"C": Aeb()})
     (tmp_path / "agent.py").write_text("")
-    assert "drives the ego; leave out one of them" in refused(drivers={"Ego": Aeb()}, agent=str(tmp_path / "agent.py"))
+    assert "already drives the ego; leave out this driver or the agent" in refused(
+        drivers={"Ego": Aeb()}, agent=str(tmp_path / "agent.py")
+    )
 
 
 def test_a_study_stores_the_driver(monkeypatch):

@@ -76,10 +76,10 @@ def run(scenario, monkeypatch):
             marks=pytest.mark.slow,
         ),
         ("agent writes files", "cannot be read (Is a directory); an agent must not change that folder"),
-        ("agent ends the process", "to the end: it ended with exit code 3; its last words: no such weights"),
-        ("agent raises", "to the end: ValueError: lost TimeoutError: time-out of 5000ms"),
-        pytest.param("cannot plan", "to the end: networkx.exception.NetworkXNoPath: 0 from 2", marks=pytest.mark.slow),
-        pytest.param("agent raises and the client aborts", "to the end: ValueError: lost", marks=pytest.mark.slow),
+        ("agent ends the process", "to its end: it ended with exit code 3; its last words: no such weights"),
+        ("agent raises", "to its end: ValueError: lost TimeoutError: time-out of 5000ms"),
+        pytest.param("cannot plan", "to its end: networkx.exception.NetworkXNoPath: 0 from 2", marks=pytest.mark.slow),
+        pytest.param("agent raises and the client aborts", "to its end: ValueError: lost", marks=pytest.mark.slow),
     ],
 )
 def test_what_an_agent_does_wrong_is_a_failed_scenario(run, wrong, words):
@@ -92,8 +92,10 @@ def test_an_agent_that_hangs_is_told_from_a_server_that_does(run, tmp_path):
     (tmp_path / "my_agent.py").write_text("class MyAgent:\n    def __init__(self, config):\n        pass\n")
     found = run("agent hangs", patience=3.0, agent=str(tmp_path / "my_agent.py"))
     assert type(found) is SimulationError
-    assert str(found).startswith("CARLA sent no frame for 9 s, though it answers, since ScenarioRunner asked for none")
-    assert "the agent my_agent.py hangs, or needs more time by `simulator` carla:patience=" in str(found)
+    assert str(found).startswith(
+        "CARLA sent no frame for 9 s, although it answers, because ScenarioRunner requested no frame"
+    )
+    assert "the agent my_agent.py hangs, or needs a larger `simulator` carla:patience=" in str(found)
 
 
 @pytest.mark.slow
@@ -113,7 +115,7 @@ def test_an_agent_may_print_a_lot_but_not_without_end(run, monkeypatch):
 def test_another_entity_that_vanishes_is_said(run):
     found = run("agent removes another")
     assert isinstance(found, Recording)
-    assert run.notices == ["T00 vanished from CARLA in a run, which no action of the scenario says"]
+    assert run.notices == ["T00 vanished from CARLA in a run, although no action of the scenario removes it"]
 
 
 def test_a_scenario_may_remove_its_ego(run, scenario):

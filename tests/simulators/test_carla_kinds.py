@@ -82,7 +82,7 @@ def test_left_hand_traffic_is_for_versions_that_know_it(tmp_path, left_hand, rig
     _, notes = written(left_hand, tmp_path, knows_left_hand_traffic=True)
     assert not [note for note in notes if words in note]
     agents = DrivingAgents({"Ego": "normal"})
-    with pytest.raises(InputError, match="takes for right-hand traffic, so Ego would drive against it"):
+    with pytest.raises(InputError, match="takes for right-hand traffic, so Ego would drive on the wrong side"):
         written(left_hand, tmp_path, agents=agents)
     written(left_hand, tmp_path, agents=agents, knows_left_hand_traffic=True)
     written(right_hand, tmp_path, agents=agents)

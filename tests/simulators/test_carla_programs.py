@@ -118,7 +118,9 @@ def test_a_server_serves_one_search_at_a_time(server, scenario, monkeypatch):
     monkeypatch.setattr("cornercase.simulators.carla._server_lock._TIMEOUT", 0.0)
     first, second = make_simulator(server), make_simulator(server)
     assert isinstance(run_one(first, scenario), Recording)
-    with pytest.raises(InputError, match=f"Another cornercase runs scenarios on CARLA on localhost:{server.port}; "):
+    with pytest.raises(
+        InputError, match=f"Another cornercase process runs scenarios on CARLA on localhost:{server.port}; "
+    ):
         run_one(second, scenario)
     first.close()
     # Nobody closes it, as its worker may be killed.

@@ -1,1 +1,1 @@
-"""CARLA, through its ScenarioRunner."""
+"""CARLA as a simulator, run by its ScenarioRunner."""

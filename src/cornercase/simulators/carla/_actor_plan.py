@@ -1,4 +1,4 @@
-"""Decide which entities ScenarioRunner can move by the storyboard, and which need a trajectory."""
+"""Plan of how each entity is moved in ScenarioRunner: by an agent, by the storyboard or along a trajectory."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ _REFERENCE_ATTRIBUTES: Final = ("entityRef", "masterEntityRef")
 
 @dataclass
 class ActorPlan:
-    """How each entity of a scenario is moved.
+    """A plan of how each entity of a scenario is moved.
 
-    `sampled`: entities that move along a trajectory, with the reasons. `reacting`: entities that react to agent-driven
-    ones. `dropped`: agent-driven entities whose events are left out. `notes`: what has no effect, or another one than
-    in the file.
+    `sampled`: entities that move along a trajectory of the builtin simulator, with the reasons. `reacting`: entities
+    that react to agent-driven entities. `dropped`: agent-driven entities whose events are left out. `notes`: sentences
+    about content that has no effect, or another effect than in the file.
     """
 
     sampled: dict[str, list[str]] = field(default_factory=dict)
@@ -45,11 +45,13 @@ def plan_actors(
 ) -> ActorPlan:
     """Decide how each entity is moved: by an agent, by the storyboard or along a trajectory.
 
-    An entity that does not react to agent-driven entities moves the same way in each run. So it can follow a trajectory
-    without loss, and does so if ScenarioRunner deviates from its storyboard. An entity that reacts is moved by the
-    storyboard, as long as ScenarioRunner does something similar. `deviations` has reasons why ScenarioRunner's own
-    controls would move an entity elsewhere, `lowest_speeds` the lowest speed of each entity in the builtin simulator in
-    m/s.
+    An entity that does not react to agent-driven entities moves the same way in each run. If ScenarioRunner deviates
+    from its storyboard, the entity therefore follows a trajectory. An entity that reacts is moved by the storyboard, as
+    long as ScenarioRunner does something similar.
+
+    `driven`: agent-driven entities. `source` names the scenario in messages. `carla_map_name`: CARLA's map, empty if
+    there is a road file. `deviations`: reasons why ScenarioRunner's own controls would move an entity along another
+    path. `lowest_speeds`: lowest speed of each entity in the builtin simulator in m/s.
     """
     names = [element.get("name", "") for element in root.iterfind("Entities/ScenarioObject")]
     parts = {name: list(_elements_moving(root, name)) for name in names}
@@ -77,8 +79,9 @@ def plan_actors(
             reasons.append("it has a driver of cornercase")
         if carla_map_name and name in result.sampled:
             raise InputError(
-                f"{source}: ScenarioRunner cannot move '{name}' like that ({result.sampled[name][0]}), and a trajectory"
-                f" needs a road file besides CARLA's map {carla_map_name}; {describe_how_to_get_map(carla_map_name)}."
+                f"{source}: ScenarioRunner cannot execute the motion of '{name}' ({result.sampled[name][0]}), and a"
+                f" trajectory instead needs a road file besides CARLA's map {carla_map_name};"
+                f" {describe_how_to_get_map(carla_map_name)}."
             )
         if reasons and name not in reacting and not carla_map_name:
             result.sampled.setdefault(name, []).extend(reasons)
@@ -100,7 +103,10 @@ def plan_actors(
 def select_stop_conditions(
     root: etree._Element, actor_plan: ActorPlan, driven: Collection[str]
 ) -> list[etree._Element]:
-    """Return the groups of the stop trigger that depend on agents and can be kept; the plan notes the others."""
+    """Return the condition groups of the stop trigger that ScenarioRunner can check; note all others in the plan.
+
+    Without agent-driven entities no group is returned, since the builtin simulator has shown when the scenario ends.
+    """
     groups = []
     for group in root.iterfind("Storyboard/StopTrigger/ConditionGroup"):
         all_findings = [*find_unsupported(group), *_find_implicit_deviations(group, root)]
@@ -117,7 +123,7 @@ def select_stop_conditions(
 
 
 def _drop_events_of_driven(name: str, parts: list[etree._Element], actor_plan: ActorPlan) -> None:
-    """Drop the events of an agent-driven entity if ScenarioRunner would fail at one of them."""
+    """Plan to leave out the events of an agent-driven entity if ScenarioRunner would fail at one of them."""
     for part in parts:
         if part.tag == "ManeuverGroup" and any(
             finding.row.status is HandlingStatus.SAMPLED for finding in find_unsupported(part)
@@ -128,7 +134,11 @@ def _drop_events_of_driven(name: str, parts: list[etree._Element], actor_plan: A
 
 
 def _elements_moving(root: etree._Element, name: str) -> Iterator[etree._Element]:
-    """Yield the elements that move an entity: initial actions, maneuver groups, and triggers of their acts."""
+    """Yield the elements that move an entity.
+
+    They are its initial actions, the actions that add or remove it, its maneuver groups, and the triggers of their
+    acts.
+    """
     yield from (
         element for element in root.iterfind("Storyboard/Init/Actions/Private") if element.get("entityRef") == name
     )
@@ -144,7 +154,10 @@ def _elements_moving(root: etree._Element, name: str) -> Iterator[etree._Element
 
 
 def refuse_unsupported(root: etree._Element, source: Path) -> None:
-    """Raise `InputError` for the first element or attribute that the support table refuses or does not contain."""
+    """Raise `InputError` for the first element or attribute that cannot be converted for ScenarioRunner.
+
+    The support table refuses such content, or does not contain it.
+    """
     for finding in find_unsupported(root):
         if finding.row.status is HandlingStatus.REFUSED:
             raise InputError(
@@ -169,7 +182,7 @@ def _describe_finding(finding: SupportFinding) -> str:
 
 
 def _find_implicit_deviations(part: etree._Element, root: etree._Element) -> Iterator[SupportFinding]:
-    """Yield deviations of ScenarioRunner that do not belong to a single element or attribute."""
+    """Yield deviations of ScenarioRunner from the standard that concern no single element or attribute."""
     if part.tag == "Private":
         yield from _find_unsupported_init_actions(part)
     for group in part.iter("ConditionGroup"):
@@ -202,7 +215,7 @@ def _find_implicit_deviations(part: etree._Element, root: etree._Element) -> Ite
 def _find_negative_speeds(
     part: etree._Element, driven: Collection[str], lowest_speeds: Mapping[str, float]
 ) -> Iterator[SupportFinding]:
-    """Yield speeds below 0, since ScenarioRunner stops an entity instead of driving it backwards."""
+    """Yield findings for speeds below 0, at which ScenarioRunner stops an entity instead of reversing it."""
     for speed in part.iter("AbsoluteTargetSpeed", "AbsoluteSpeed"):
         if float(speed.get("value", "0")) < 0.0:
             yield _sampled_finding(speed, "ScenarioRunner stops at speeds below 0")
@@ -218,7 +231,7 @@ def _find_negative_speeds(
 
 
 def _find_unsupported_init_actions(private: etree._Element) -> Iterator[SupportFinding]:
-    """Yield the initial actions that ScenarioRunner ignores: all but the first position and the first speed."""
+    """Yield findings for initial actions that ScenarioRunner does not execute as the standard says."""
     for action_tag in ("LateralAction", "SynchronizeAction", "LongitudinalDistanceAction", "SpeedProfileAction"):
         for action in private.iter(action_tag):
             yield _sampled_finding(action, "ScenarioRunner does not do it in <Init> as the standard says")
@@ -261,7 +274,7 @@ def _has_cornercase_driver(root: etree._Element, name: str) -> bool:
 def _reacting_entities(
     root: etree._Element, parts: dict[str, list[etree._Element]], driven: Collection[str]
 ) -> set[str]:
-    """Return the agent-driven entities, and all entities whose motion depends on them."""
+    """Return the agent-driven entities and all entities whose motion depends on them."""
     referenced = {
         name: {
             element.get(attribute, "")
@@ -284,7 +297,10 @@ def _reacting_entities(
 
 
 def _is_reference_kept(root: etree._Element, state: etree._Element) -> bool:
-    """Return whether all elements that a condition refers to stay in the storyboard, given the entities that stay."""
+    """Return whether the storyboard elements that a condition refers to exist and will be executed.
+
+    Global actions and actions without effect are removed from the storyboard, so a condition cannot wait for them.
+    """
     elements = [
         element
         for element in _referenced_elements(root, state)
@@ -317,7 +333,7 @@ def _referenced_actors(root: etree._Element, state: etree._Element) -> set[str]:
 def _plan_dependent_entities(
     root: etree._Element, parts: dict[str, list[etree._Element]], actor_plan: ActorPlan, driven: Collection[str]
 ) -> None:
-    """Plan trajectories also for entities that wait for parts of the storyboard that trajectories have replaced."""
+    """Plan trajectories also for entities that wait for events that the plan removes from the storyboard."""
     waiting = {
         name: {
             actor

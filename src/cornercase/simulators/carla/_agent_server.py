@@ -1,4 +1,4 @@
-"""Decides for the agent that drives the ego on CARLA, by a driver of cornercase."""
+"""Server by which a driver of cornercase decides for the agent that drives the ego on CARLA."""
 
 from __future__ import annotations
 
@@ -31,10 +31,11 @@ _FADING_TIME: Final = 0.5
 
 
 class AgentServer:
-    """Decides in a thread what the ego does, for one run; `failure` is set if the driver cannot.
+    """Server that decides in a thread how the ego moves in one run, by a driver of cornercase.
 
-    `folder` is that of the run, and gets the agent's configuration. The ego's path and target speed are those at the
-    start of the scenario in the builtin simulator.
+    `folder`: folder of the run, into which the agent's configuration is written. `failure`: error of the driver, if it
+    has failed. The ego has the path and the target speed that it has at the start of the scenario in the builtin
+    simulator.
     """
 
     def __init__(
@@ -67,7 +68,7 @@ class AgentServer:
 
     @property
     def limit_notices(self) -> Mapping[str, str]:
-        """A sentence without full stop for each limit of the vehicle that the driver exceeded."""
+        """Sentences without full stop, one for each limit of the vehicle that the driver exceeded."""
         return self._attached_driver.limit_notices
 
     def __enter__(self) -> Self:
@@ -104,10 +105,13 @@ class AgentServer:
         except SimulationError as error:
             self.failure = error
         except Exception as error:
-            self.failure = PluginError(f"{self._attached_driver.display_name} could not be asked: {error}")
+            self.failure = PluginError(f"{self._attached_driver.display_name} could not decide: {error}")
 
     def _answer(self, now: float, states: Mapping[str, list[float]]) -> dict[str, Any]:
-        """Return what the ego does from `now` on, given the state of all entities."""
+        """Return the velocity and yaw rate that the driver decides for the ego at the time `now` in s.
+
+        `states`: x, y, heading, speed, length and width of each entity.
+        """
         if self._begin_time is None:
             self._begin_time = now
         self._situation = situation = self._make_situation(now - self._begin_time, states)
@@ -161,7 +165,7 @@ class AgentServer:
         return replace(situation, distance=SharedView(situation).own_pose_on_path[0])
 
     def _follow(self, view: View, speed: float) -> dict[str, Any]:
-        """Return the motion along the path; a distance from it fades away."""
+        """Return the velocity and yaw rate with which the ego follows its path, and gradually comes back to it."""
         ego, step = view.ego, self._time_step
         target, rest = view.path(speed * step), max(1.0 - step / _FADING_TIME, 0.0)
         turn = target.heading + rest * ego.turn
@@ -170,9 +174,9 @@ class AgentServer:
         return self._motion(ego.heading, x, y, turn)
 
     def _motion(self, heading: float, x: float, y: float, turn: float) -> dict[str, Any]:
-        """Return the velocity of the box's centre and the yaw rate.
+        """Return the velocity of the box's centre and the yaw rate for the motion of one time step.
 
-        The reference point moves by `x`, `y` as seen from the ego, which turns by `turn`.
+        The reference point moves by `x` and `y` in m, as seen from the ego, which turns by `turn` in rad.
         """
         center_x, step = self._start.body.center_x, self._time_step
         ahead = x + center_x * (math.cos(turn) - 1.0)
@@ -182,7 +186,7 @@ class AgentServer:
 
 
 def _measure_speed(last: Situation, time: float, x: float, y: float, heading: float) -> float:
-    """Return the speed along the arc from the last pose.
+    """Return the speed in m/s along the arc from the last pose to the present pose.
 
     CARLA's own speed is that of a point that also moves sideways in turns.
     """
@@ -196,7 +200,7 @@ def _measure_speed(last: Situation, time: float, x: float, y: float, heading: fl
 
 
 class _Probe(DrivingFunction):
-    """Stores what a driver is given when a scenario starts."""
+    """Driver that stores what a driver is given at the start of a scenario."""
 
     given: tuple[Start, Situation] | None = None
 
@@ -212,9 +216,10 @@ class _Probe(DrivingFunction):
 
 
 def _probe(concrete: ConcreteScenario, ego: str, time_step: float) -> tuple[Start, Situation]:
-    """Return what the ego's driver is given at the start of a scenario; `InputError` if it could decide nothing.
+    """Return what the ego's driver is given at the start of a scenario in the builtin simulator.
 
-    `SimulationError` if it could with the file's own values, so that only these ones are at fault.
+    Raises `InputError` if no driver could decide anything. Raises `SimulationError` if only the values are at fault,
+    since a driver could decide with the values of the scenario file.
     """
     try:
         return _probe_once(concrete, ego, time_step)

@@ -22,11 +22,14 @@ _MISSING_CLIENT: Final = "No module named 'carla'"
 
 
 class ClientError(SimulatorError):
-    """CARLA's client says that the server does not do what it should."""
+    """Error that CARLA's client reports, for example if the server does not answer."""
 
 
 class ClientProcess:
-    """Asks the program `cornercase_recorder.py`, which runs until `close` is called."""
+    """Process of the program `cornercase_recorder.py`, which calls CARLA's client.
+
+    The program runs until `close` is called.
+    """
 
     def __init__(self, environment: RunnerEnvironment) -> None:
         self._python = environment.python
@@ -43,15 +46,15 @@ class ClientProcess:
         except OSError as error:
             self._errors.close()
             raise InputError(
-                f"{environment.python}: is no Python that can be run ({error}); set {PYTHON_VARIABLE} to that of"
-                " ScenarioRunner's environment."
+                f"{environment.python}: is no Python that can be run ({error}); set {PYTHON_VARIABLE} to the"
+                " Python of ScenarioRunner's environment."
             ) from error
 
-        # Ends the program, also if nobody calls it.
+        # Ends the program even if `close` is never called.
         self.close = finalize(self, _end_program, self._process, self._errors)
 
     def ask(self, method: str, *arguments: object) -> Any:
-        """Return the result of a method of the client; `ClientError` if the server does not answer."""
+        """Call a method of the client and return its result; raise `ClientError` if the client reports an error."""
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         try:
@@ -65,13 +68,18 @@ class ClientProcess:
         try:
             answer = json.loads(line)
         except ValueError as error:
-            raise SimulatorError(f"CARLA's client says '{line[:100].decode(errors='replace').strip()}'") from error
+            raise SimulatorError(
+                f"CARLA's client printed '{line[:100].decode(errors='replace').strip()}' instead of JSON"
+            ) from error
         if "error" in answer:
             raise ClientError(answer["error"])
         return answer["result"]
 
     def _raise_ended(self) -> None:
-        """Raise why the program has ended: CARLA's client aborts if it does not understand the server."""
+        """Raise an error that says why the program has ended.
+
+        For instance, CARLA's client aborts if it does not understand the server.
+        """
         code = self._process.wait()
         self._errors.seek(0)
         lines = self._errors.read().decode(errors="replace").split("\n")
@@ -84,7 +92,7 @@ class ClientProcess:
                     f" {PYTHON_VARIABLE} to the Python of ScenarioRunner's environment."
                 )
             raise InputError(
-                f"{self._python}: CARLA's client is not installed there; get that of your CARLA's version, as by"
+                f"{self._python}: CARLA's client is not installed there; get the version of your CARLA, for example by"
                 f" `{self._python} -m pip install carla==0.9.15`, or set {PYTHON_VARIABLE} to the Python of"
                 " ScenarioRunner's environment."
             )
@@ -94,7 +102,7 @@ class ClientProcess:
 def _end_program(process: subprocess.Popen[bytes], errors: IO[bytes]) -> None:
     for pipe in (process.stdin, process.stdout):
         assert pipe is not None
-        # The program may not have read all.
+        # The program may not have read all its input.
         with suppress(OSError):
             pipe.close()
     try:
@@ -114,7 +122,7 @@ def find_client_version(environment: RunnerEnvironment) -> str:
     except SimulatorError as error:
         # No server is asked, so it is the installation.
         raise InputError(
-            f"{environment.python}: CARLA's client does not run there ({error}); install it anew, or set"
+            f"{environment.python}: CARLA's client does not run there ({error}); install it again, or set"
             f" {PYTHON_VARIABLE} to the Python of ScenarioRunner's environment."
         ) from error
     finally:

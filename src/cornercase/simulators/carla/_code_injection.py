@@ -1,4 +1,4 @@
-"""Refuse content of scenarios that would make ScenarioRunner execute code."""
+"""Refusal of scenario content that would make ScenarioRunner execute code."""
 
 from __future__ import annotations
 
@@ -25,7 +25,11 @@ _SUPPORTED_CRITERIA: Final = (
 
 
 def pop_criteria(root: etree._Element) -> dict[str, etree._Element]:
-    """Remove the groups of ScenarioRunner's criteria, which never become true, and return the criteria by name."""
+    """Remove the criteria of ScenarioRunner from all stop triggers; return their conditions by name of the criterion.
+
+    ScenarioRunner judges a run by its criteria. Written as conditions, they never become true, so their groups are
+    removed.
+    """
     declared = {declaration.get("name") for declaration in root.iterfind("ParameterDeclarations/ParameterDeclaration")}
     criteria: dict[str, etree._Element] = {}
     for trigger in root.iter("StopTrigger"):
@@ -41,7 +45,7 @@ def pop_criteria(root: etree._Element) -> dict[str, etree._Element]:
 
 
 def add_criteria(root: etree._Element, criteria: Mapping[str, etree._Element]) -> list[str]:
-    """Add the criteria by which ScenarioRunner may judge a run; return notes on those that are left out."""
+    """Add the criteria by which ScenarioRunner may judge a run; return notes on criteria that are left out."""
     stop = root.find("Storyboard/StopTrigger")
     assert stop is not None
     supported = [condition for name, condition in criteria.items() if name in _SUPPORTED_CRITERIA]
@@ -55,7 +59,10 @@ def add_criteria(root: etree._Element, criteria: Mapping[str, etree._Element]) -
 
 
 def refuse_code_injection(root: etree._Element, source: Path) -> None:
-    """Refuse a scenario that names code: user-defined actions, other controllers, conditions named like classes."""
+    """Raise `InputError` if a scenario names code that ScenarioRunner would execute.
+
+    These are user-defined actions, controllers that are not ScenarioRunner's own, and conditions named like classes.
+    """
     for action in root.iter("UserDefinedAction"):
         command = action.find("CustomCommandAction")
         description = "" if command is None else f" with the <CustomCommandAction> '{command.get('type')}'"

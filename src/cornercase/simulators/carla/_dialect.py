@@ -1,4 +1,4 @@
-"""Write into a scenario which controller ScenarioRunner must use for each entity."""
+"""Assignment of controllers to the entities of a scenario, as ScenarioRunner reads them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from cornercase.simulators.carla._storyboard_rewrite import E
 DRIVER_FILE: Final = Path(__file__).with_name("cornercase_driver.py")
 TRAJECTORY_FILE: Final = Path(__file__).with_name("cornercase_trajectory.py")
 BEHAVIORS: Final = ("aggressive", "cautious", "normal")
-# ScenarioRunner's own, which does nothing.
+# Controller of ScenarioRunner that does nothing.
 _EXTERNAL_CONTROL: Final = "external_control"
 _INACTIVE_OVERRIDES: Final = (
     ("Throttle", "value"), ("Brake", "value"), ("Clutch", "value"), ("ParkingBrake", "value"),
@@ -28,8 +28,8 @@ _INACTIVE_OVERRIDES: Final = (
 class DrivingAgents:
     """Agents that drive entities instead of the storyboard.
 
-    `behaviors`: CARLA's behaviour agents, by entity. `agent`: file of the user's own agent, which drives the ego.
-    `config`: its configuration. `external`: whether another program has made the ego and drives it.
+    `behaviors`: names of CARLA's behaviour agents, by entity. `agent`: file of an agent that drives the ego. `config`:
+    configuration file of this agent. `external`: whether another program has made the ego and drives it.
     """
 
     behaviors: Mapping[str, str] = field(default_factory=dict)
@@ -38,11 +38,11 @@ class DrivingAgents:
     external: bool = False
 
     def driven_entities(self, ego: str) -> set[str]:
-        """Return the entities that an agent drives."""
+        """Return the entities that an agent or another program drives."""
         return set(self.behaviors) | ({ego} if self.agent is not None or self.external else set())
 
     def driven_by_route(self, ego: str) -> set[str]:
-        """Return the entities whose agents get a route along CARLA's lanes."""
+        """Return the entities whose agents follow a route along CARLA's lanes."""
         return set(self.behaviors) | ({ego} if self.agent not in (None, AGENT_FILE) else set())
 
 
@@ -53,10 +53,11 @@ def assign_controllers(
     agents: DrivingAgents,
     trajectories: Mapping[str, Mapping[str, str]],
 ) -> set[Path]:
-    """Assign controllers to entities that ScenarioRunner's own controls do not move; return their files.
+    """Assign controllers to entities that ScenarioRunner's own controls cannot move; return their files.
 
-    Entities with an initial route get one of cornercase, since ScenarioRunner does not execute routes. `trajectories`
-    has the properties of controllers of entities on trajectories.
+    Entities with an initial route get a controller of cornercase, since ScenarioRunner does not execute routes.
+    `trajectories`: properties of the controllers that move entities along trajectories, by entity. `source` names the
+    scenario in messages.
     """
     controllers: set[Path] = set()
     for private in root.iterfind("Storyboard/Init/Actions/Private"):
@@ -95,7 +96,7 @@ def assign_controllers(
 
 
 def _pop_initial_route(private: etree._Element) -> etree._Element:
-    """Remove the initial route of an entity, and return an element with its positions."""
+    """Remove the initial route of an entity; return an element with its positions, empty without a route."""
     route = etree.Element("route")
     for action in private.findall("PrivateAction"):
         routing = action.find("RoutingAction")

@@ -1,4 +1,4 @@
-"""Convert road files for CARLA: add ground beside the roads, and write a form that ScenarioRunner recognizes."""
+"""Conversion of road files for CARLA: ground beside the roads, and a form that ScenarioRunner recognizes."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from lxml import etree
 from cornercase.recordings import Recording
 from cornercase.roads._network import RoadNetwork
 
-# Width in m of the ground that is added on both sides of roads, and of that of CARLA without it.
+# Width in m of the ground on both sides of roads: with added lanes, and without them.
 VERGE_WIDTH: Final = 10.0
 NARROW_WIDTH: Final = 0.6
 _MARK: Final = '<roadMark sOffset="0" type="none" weight="standard" color="standard" width="0" laneChange="none"/>'
@@ -18,11 +18,11 @@ _LANE_CONTENT: Final = f'<width sOffset="0" a="{VERGE_WIDTH:g}" b="0" c="0" d="0
 
 
 def road_text_for_carla(root: etree._Element) -> str:
-    """Return the text of a road file, with ground beside flat roads and marks on all lanes.
+    """Return the text of a road file for CARLA, with ground beside flat roads and road marks on all lanes.
 
-    It begins with a plain ``<OpenDRIVE>``: ScenarioRunner 0.9.13 finds no other root element, and loads any map anew
-    whose text is not the same. CARLA makes ground of all lanes; lanes of the type ``none`` do not change where its
-    waypoints and routes are.
+    The text begins with a plain ``<OpenDRIVE>``: ScenarioRunner 0.9.13 finds no other root element, and loads a map
+    again if its text differs. CARLA makes ground from all lanes. The added lanes have the type ``none``, so they do not
+    change CARLA's waypoints and routes.
     """
     root = etree.fromstring(etree.tostring(root))
     for element in root.iter("*"):
@@ -39,7 +39,10 @@ def road_text_for_carla(root: etree._Element) -> str:
 
 
 def is_flat(root: etree._Element) -> bool:
-    """Whether all roads are level at the same height, so that ground beside one is no step on another."""
+    """Return whether all roads are level and at the same height.
+
+    Ground beside one road is then no step on another road.
+    """
     heights = set()
     for road in root.iterfind("{*}road"):
         entries = road.findall("{*}elevationProfile/{*}elevation")
@@ -53,7 +56,10 @@ def is_flat(root: etree._Element) -> bool:
 
 
 def find_entities_beyond_ground(recording: Recording, network: RoadNetwork, width: float) -> dict[str, float]:
-    """Return how far entities go from the roads in m, if they go where CARLA's generated world has no ground."""
+    """Return the entities that leave the ground of CARLA's generated world, with their distances from the roads.
+
+    The distance is the largest one of each entity in m. `width` is the width of the ground beside the roads in m.
+    """
     distances = {}
     for k, name in enumerate(recording.names):
         present = np.isfinite(recording.x[k])
@@ -73,13 +79,13 @@ def find_entities_beyond_ground(recording: Recording, network: RoadNetwork, widt
 
 
 def _add_missing_mark(lane: etree._Element) -> None:
-    """Add a road mark where a lane has none, as CARLA's agents fail there."""
+    """Add a road mark to a lane that has none at its start, since CARLA's agents fail there."""
     if not any(float(mark.get("sOffset", "0")) <= 0.0 for mark in lane.iterfind("roadMark")):
         lane.append(etree.fromstring(_MARK))
 
 
 def _add_verges(section: etree._Element) -> None:
-    """Add a lane on both sides of a lane section."""
+    """Add a lane as ground on both sides of a lane section."""
     center = section.find("center")
     if center is None:
         return

@@ -1,4 +1,4 @@
-"""Write concrete scenarios as OpenSCENARIO 1.0 for CARLA's ScenarioRunner."""
+"""Conversion of concrete scenarios to OpenSCENARIO 1.0 for CARLA's ScenarioRunner."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ _RULES_IN_1_0: Final = {"greaterOrEqual": "greaterThan", "lessOrEqual": "lessTha
 _NUMBER_PATTERN: Final = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|-?INF|NaN|true|false", re.ASCII)
 _PLAIN_NUMBER_PATTERN: Final = re.compile(r"-?\d+(\.\d*)?", re.ASCII)
 _MAX_ENTITIES: Final = 500
-# How names of CARLA's things begin, and what ScenarioRunner 0.9.16 takes for all others.
+# How names of CARLA's objects begin, and the object that ScenarioRunner 0.9.16 takes for all other names.
 _THING_PREFIX, _DEFAULT_THING = "static.", "static.prop.streetbarrier"
 GROUND_NOTE: Final = "the world that CARLA makes of the road file has ground beside them up to"
 _AXES_NOTE: Final = (
@@ -105,11 +105,12 @@ class Conversion:
 def convert(
     scenario: ScenarioFile | Path | str, output: Path | str, *, ego: str, values: Mapping[str, Value] | None = None
 ) -> Conversion:
-    """Write a concrete scenario as OpenSCENARIO 1.0, as CARLA's ScenarioRunner reads it.
+    """Write a concrete scenario as OpenSCENARIO 1.0 for CARLA's ScenarioRunner.
 
     Parameters and expressions are replaced by their values, since 1.0 has no expressions, and catalog entries are
     copied into the file. The ego becomes ScenarioRunner's ``ego_vehicle``. The road file is copied next to the new file
-    and named after it (``t10.xodr`` for ``t10.xosc``), unless it is the name of one of CARLA's maps (``Town01``).
+    and named after it (``t10.xodr`` for ``t10.xosc``). If the scenario names a map of CARLA (``Town01``) instead, no
+    road file is copied.
 
     Parameters
     ----------
@@ -120,7 +121,7 @@ def convert(
     ego : str
         Entity that becomes the ego vehicle.
     values : mapping of str to float or str, optional
-        Parameter values; others keep those of their declarations.
+        Parameter values; all other parameters keep the values of their declarations.
 
     Returns
     -------
@@ -129,7 +130,7 @@ def convert(
     Raises
     ------
     InputError
-        A file cannot be read or written, there is no such entity or parameter, or something cannot be expressed in
+        A file cannot be read or written, the entity or a parameter does not exist, or something cannot be expressed in
         OpenSCENARIO 1.0.
 
     Examples
@@ -156,10 +157,11 @@ class ConversionOptions:
 
     `agents`: agents that drive entities instead of the storyboard. `time_step`, `duration`: in s. `open_loop`: whether
     an entity may move along a trajectory although it should react to an agent-driven entity. `road_file`: path of the
-    copied road file, relative to the new file (default: next to it). `controllers`: folder of cornercase's controllers,
-    likewise. `with_criteria`: whether ScenarioRunner judges the run by the criteria of the scenario. `is_run`: whether
-    only cornercase uses the file, so that it may lack the trajectories that controllers know.
-    `knows_left_hand_traffic`: whether CARLA's client reads it from a road file, as since 0.9.16.
+    copied road file, relative to the folder of the new file (default: next to it). `controllers`: folder of
+    cornercase's controllers, relative to the same folder. `with_criteria`: whether ScenarioRunner judges the run by the
+    criteria of the scenario. `is_run`: whether only cornercase runs the file; it then gives trajectories to
+    controllers, instead of writing them into the storyboard. `knows_left_hand_traffic`: whether CARLA's client
+    recognizes left-hand traffic in a road file, as in 0.9.16 and later.
     """
 
     agents: DrivingAgents = field(default_factory=DrivingAgents)
@@ -219,7 +221,7 @@ def write_openscenario_1_0(
 
 
 def carla_map_name(scenario: ScenarioFile, values: Mapping[str, Value]) -> str:
-    """Return the name of the CARLA map that a scenario names instead of a road file; otherwise empty."""
+    """Return the name of the map of CARLA that a scenario names instead of a road file; empty if it names none."""
     reference = scenario.road_reference_for(values)
     road = scenario.resolve_path(reference, "road file")
     if not reference or road.exists() or not re.fullmatch(r"\w+", road.name, re.ASCII):
@@ -228,7 +230,7 @@ def carla_map_name(scenario: ScenarioFile, values: Mapping[str, Value]) -> str:
 
 
 def make_concrete_tree(scenario: ScenarioFile, values: Mapping[str, Value]) -> etree._Element:
-    """Return the XML tree of a concrete scenario, with values for parameters and entries for references."""
+    """Return the XML tree of a concrete scenario, with parameters and catalog references replaced."""
     # The time grows with the square of the number of entities.
     if len(scenario.entities) > _MAX_ENTITIES:
         raise InputError(
@@ -281,8 +283,8 @@ def _make_tree_1_0(
         if name in actor_plan.reacting:
             raise InputError(
                 f"{scenario.path}: '{name}' has to react to {' and '.join(sorted(driven))}, but ScenarioRunner cannot"
-                f" move it like that ({actor_plan.sampled[name][0]}); with `simulator` carla:open_loop=true it moves as"
-                " in the builtin simulator, without reacting."
+                f" execute its motion ({actor_plan.sampled[name][0]}); with `simulator` carla:open_loop=true it moves"
+                " as in the builtin simulator, without reacting."
             )
     if options.is_run and not options.knows_left_hand_traffic and road is not None and not map_name:
         by_lanes = [*options.agents.driven_by_route(ego), *(actor_plan.reacting - set(actor_plan.sampled))]
@@ -329,13 +331,13 @@ def _make_tree_1_0(
 
 
 def _refuse_left_hand_traffic(scenario: ScenarioFile, road: Path, by_lanes: Sequence[str]) -> None:
-    """Raise `InputError` if roads have left-hand traffic and entities are moved along CARLA's lanes."""
+    """Raise `InputError` if roads have left-hand traffic and entities (`by_lanes`) move along CARLA's lanes."""
     if by_lanes and not all(
         element.is_right_hand_traffic for element in RoadNetwork.from_xml(scenario.get_root(road), road).roads
     ):
         raise InputError(
             f"{road}: has left-hand traffic, which CARLA before 0.9.16 takes for right-hand traffic, so"
-            f" {' and '.join(sorted(by_lanes))} would drive against it; use 0.9.16."
+            f" {' and '.join(sorted(by_lanes))} would drive on the wrong side; use CARLA 0.9.16."
         )
 
 
@@ -369,7 +371,7 @@ def _rewrite_header(root: etree._Element, source: Path) -> None:
 
 
 def _expand_selections(root: etree._Element) -> None:
-    """Replace entity selections by their members, since ScenarioRunner does not support selections."""
+    """Replace references to entity selections by their members, since ScenarioRunner has no selections."""
     for selection in root.findall("Entities/EntitySelection"):
         members = [member_element.get("entityRef", "") for member_element in selection.iterfind("Members/EntityRef")]
         object_types = [
@@ -400,7 +402,7 @@ def _remove_later_attributes(root: etree._Element) -> None:
 
 
 def _resolve_expressions(element: etree._Element, scope: Scope) -> None:
-    """Replace parameters and expressions in all attributes by their values."""
+    """Replace parameters and expressions in attributes by their values, and catalog references by their entries."""
     if not isinstance(element.tag, str) or element.tag == "ParameterDeclarations":
         return
     inner = scope.nested_scope(element) if element.find("ParameterDeclarations") is not None else scope
@@ -427,7 +429,10 @@ def _resolve_expressions(element: etree._Element, scope: Scope) -> None:
 
 
 def _trim_numbers(root: etree._Element) -> None:
-    """Write numbers without spaces around them, plus signs and exponents, which ScenarioRunner does not read."""
+    """Remove surrounding spaces, plus signs and exponents from numbers in attributes.
+
+    ScenarioRunner cannot read numbers that contain them.
+    """
     for element in root.iter("*"):
         for name, text in element.attrib.items():
             if name != "name" and not str(name).endswith("Ref") and _NUMBER_PATTERN.fullmatch(str(text).strip()):
@@ -501,7 +506,7 @@ def _rewrite_conditions(root: etree._Element, source: Path, notes: list[str]) ->
 
 
 def _add_final_speeds(root: etree._Element, scenario: ScenarioFile, notes: list[str]) -> None:
-    """Add a final speed to synchronize actions without one, since ScenarioRunner requires it."""
+    """Add a final speed to synchronize actions without one, since ScenarioRunner requires a final speed."""
     for action in root.iter("SynchronizeAction"):
         final_speed = action.find("FinalSpeed")
         if final_speed is not None and final_speed.find("*/SteadyState") is not None:

@@ -1,4 +1,4 @@
-"""Find parameters of a scenario that have no effect because something else drives an entity."""
+"""Parameters of a scenario that have no effect because an agent drives an entity."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ _ROUTE_OR_POSITION: Final = ("TeleportAction", "RoutingAction")
 def describe_overridden_parameters(
     scenario: ScenarioFile, driven: Collection[str], *, externally: Collection[str], obeying: Collection[str]
 ) -> Iterator[str]:
-    """Describe the parameters that only set what the drivers of the entities `driven` decide themselves.
+    """Yield a sentence on each parameter that has no effect because a driver decides what the parameter sets.
 
-    The entities `externally` have not even a first speed or a route from the scenario; the drivers of the entities
-    `obeying` go on at the first speed.
+    `driven`: entities with a driver. `externally`: driven entities that do not even take their first speed or a route
+    from the scenario. `obeying`: driven entities whose drivers go on at the first speed.
     """
     names = {
         element.get("name", "") for element in scenario.root.iterfind("ParameterDeclarations/ParameterDeclaration")
@@ -51,7 +51,10 @@ def describe_overridden_parameters(
 
 
 def _find_overriding_entity(element: etree._Element, driven: Collection[str]) -> tuple[str, bool]:
-    """Return the driven entity (or nothing) that the element tells to move, and whether it is its first speed."""
+    """Return the driven entity whose motion an element sets, and whether the element sets its first speed.
+
+    The entity is empty if the element sets the motion of no driven entity.
+    """
     action = next(element.iterancestors("PrivateAction"), None)
     if action is None:
         return "", False
@@ -65,6 +68,6 @@ def _find_overriding_entity(element: etree._Element, driven: Collection[str]) ->
 
 
 def _is_route_or_position(element: etree._Element) -> bool:
-    """Whether an element is part of where an entity begins, or of its first route."""
+    """Return whether an element belongs to the initial position or the first route of an entity."""
     is_initial = next(element.iterancestors("Private"), None) is not None
     return is_initial and next(element.iterancestors(*_ROUTE_OR_POSITION), None) is not None

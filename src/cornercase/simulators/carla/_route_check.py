@@ -1,4 +1,4 @@
-"""Find entities that ScenarioRunner's own controls would not keep on their path, and initial heights of entities."""
+"""Entities that ScenarioRunner's own controls would move off their path, and initial heights of entities."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ _STRIDE: Final = 4
 def find_deviating_entities(
     recording: Recording, road: Path | None, scenario: ScenarioFile, *, knows_left_hand_traffic: bool = False
 ) -> dict[str, str]:
-    """Return why ScenarioRunner's own controls would move entities elsewhere, by entity.
+    """Return the entities that ScenarioRunner's own controls would move along another path, with the reasons.
 
     The controls move a vehicle along the middle of the nearest lane in its direction, and choose an arbitrary branch at
-    junctions. They move a walker straight ahead. Entities that never move are left out. The road file is cached in
-    `scenario`.
+    junctions. They move a walker straight ahead. Entities that never move are left out. `road` is the road file, which
+    is cached in `scenario`. `knows_left_hand_traffic`: whether CARLA supports left-hand traffic.
     """
     network = None if road is None else RoadNetwork.from_xml(scenario.get_root(road), road)
     reasons = {}
@@ -85,7 +85,7 @@ def _angle_between(heading: FloatArray, other_heading: FloatArray) -> FloatArray
 
 
 def initial_heights(recording: Recording, road: Path | None, scenario: ScenarioFile) -> FloatArray:
-    """Return the initial heights of entities in m, shape (A,), from the elevation of their roads."""
+    """Return the initial height of each entity in m, from the elevation of its road."""
     elevations = np.zeros(len(recording.names))
     if road is None:
         return elevations

@@ -1,4 +1,4 @@
-"""Write the file of a run, and tell whether the file of the scenario or its values are at fault if that fails."""
+"""Writing of the scenario file for a run, with an error that says whether the scenario or its values are at fault."""
 
 from __future__ import annotations
 
@@ -23,10 +23,11 @@ def write_run_file(
     options: ConversionOptions,
     version: str = "",
 ) -> tuple[str, ...]:
-    """Write a concrete scenario for ScenarioRunner as `write_openscenario_1_0` does; return its notes.
+    """Write a concrete scenario for ScenarioRunner like `write_openscenario_1_0`; return notes on differences.
 
-    Raises `SimulationError` if the scenario can be written with its own values, so that only these ones are at fault,
-    and `InputError` if it needs what ScenarioRunner of `version`, if that is known, lacks.
+    Raises `SimulationError` if only `values` are at fault, since the scenario can be written with the values of its
+    file. Raises `InputError` if it cannot be written with these values either, or if it needs something that
+    ScenarioRunner lacks in `version`. An empty `version` is unknown and not checked.
     """
     try:
         notes = write_openscenario_1_0(scenario, values, target, ego=ego, options=options)

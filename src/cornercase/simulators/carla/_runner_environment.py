@@ -1,4 +1,4 @@
-"""Find ScenarioRunner, the Python of its environment and CARLA's agents, of any version."""
+"""Installation of ScenarioRunner, with the Python of its environment and CARLA's agents."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ _VERSION_PATTERN: Final = re.compile(r"^## CARLA ScenarioRunner (\d[\w.]*)", re.
 
 
 def describe_download(version: str) -> str:
-    """Return how to get ScenarioRunner of a version, to be put after "get it"."""
+    """Return a clause on how to get a version of ScenarioRunner, which follows "get" and the version."""
     command = f"git clone --branch v{version} https://github.com/carla-simulator/scenario_runner"
     return f"by `{command}` and set {RUNNER_VARIABLE} to its folder"
 
 
 @dataclass(frozen=True)
 class RunnerEnvironment:
-    """Folder of ScenarioRunner, Python of its environment, and folder of CARLA (may be empty)."""
+    """Folder of ScenarioRunner, Python of its environment, and folder of CARLA (empty if unknown)."""
 
     folder: Path
     python: str
@@ -38,7 +38,10 @@ class RunnerEnvironment:
 
     @classmethod
     def find(cls, folder: str, python: str, carla_root: str) -> Self:
-        """Use the environment variables for empty arguments; `InputError` if ScenarioRunner is not found."""
+        """Find the installation of ScenarioRunner; for empty arguments, use the environment variables.
+
+        Raises `InputError` if ScenarioRunner is not found.
+        """
         return cls(
             _find_scenario_runner_folder(folder),
             python or os.environ.get(PYTHON_VARIABLE, "") or sys.executable,
@@ -46,7 +49,7 @@ class RunnerEnvironment:
         )
 
     def variables(self, drivers: Path | None = None) -> dict[str, str]:
-        """Return the environment variables of a program that finds ScenarioRunner, CARLA's agents and `drivers`."""
+        """Return the environment variables of a program that imports ScenarioRunner, CARLA's agents and `drivers`."""
         roots = [self.folder, *filter(None, [drivers])]
         if self.carla_root:
             roots.append(Path(self.carla_root) / "PythonAPI" / "carla")
@@ -58,17 +61,17 @@ class RunnerEnvironment:
 
     @cached_property
     def version(self) -> str:
-        """Version of ScenarioRunner; empty if it is not known."""
+        """Version of ScenarioRunner; empty if unknown."""
         match = _VERSION_PATTERN.search(_read_source(self.folder / _CHANGELOG_FILE))
         return "" if match is None else match[1]
 
     @cached_property
     def has_frame_rate(self) -> bool:
-        """Whether ScenarioRunner has the option ``--frameRate``, as since 0.9.16."""
+        """True if ScenarioRunner has the option ``--frameRate``, as in 0.9.16 and later."""
         return bool(_FRAME_RATE_PATTERN.search(_read_source(self.folder / "scenario_runner.py")))
 
     def check_versions(self, client: str, server: str, address: str) -> None:
-        """Raise `InputError` if ScenarioRunner, client and server are not of one version."""
+        """Raise `InputError` unless ScenarioRunner, client and server have the same version."""
         any_version = "; with `simulator` carla:any_version=true it is tried all the same."
         for version in (server, client):
             if version.split(".")[:2] == ["0", "10"]:
@@ -78,15 +81,15 @@ class RunnerEnvironment:
                 )
         if client != server:
             raise InputError(
-                f"CARLA on {address} has version {server}, the client of {self.python} {client}; start CARLA {client},"
-                f" or get the other client by `{self.python} -m pip install carla=={server}`{any_version}"
+                f"CARLA on {address} has version {server}, but its client in {self.python} has {client}; start CARLA"
+                f" {client}, or get the other client by `{self.python} -m pip install carla=={server}`{any_version}"
             )
         if self.version not in ("", client):
             release = (
                 client if client in VERSIONS else max(other for other in VERSIONS if other <= max(client, "0.9.13"))
             )
             raise InputError(
-                f"{self.folder}: ScenarioRunner {self.version} is not that of CARLA {client}; get it"
+                f"{self.folder}: ScenarioRunner {self.version} does not fit CARLA {client}; get {release}"
                 f" {describe_download(release)}{any_version}"
             )
 
@@ -95,7 +98,7 @@ def _find_scenario_runner_folder(explicit_folder: str) -> Path:
     text = explicit_folder or os.environ.get(RUNNER_VARIABLE, "")
     if not text:
         raise InputError(
-            f"ScenarioRunner is not found; get that of your CARLA's version, as {describe_download('0.9.15')}."
+            f"ScenarioRunner is not found; get the version of your CARLA, for example {describe_download('0.9.15')}."
         )
     folder = Path(text)
     if not (folder / "scenario_runner.py").is_file():

@@ -22,21 +22,26 @@ _END_TIMEOUT, _POLL_INTERVAL = 2.0, 0.02
 
 
 class RunnerProcess:
-    """Runs scenarios by the program `cornercase_launcher.py`, which is started when it is needed.
+    """Process of the program `cornercase_launcher.py`, which runs scenarios by ScenarioRunner.
 
-    Each scenario runs in a fork of the program, or in the program itself where it cannot fork.
+    The program is started when it is needed. Each scenario runs in a fork of the program, or in the program itself if
+    it cannot fork.
     """
 
     def __init__(self, environment: RunnerEnvironment) -> None:
         self.environment = environment
         self._process: subprocess.Popen[bytes] | None = None
-        # Of the process of the scenario; 0 if there is none.
+        # Number of the process of the scenario; 0 if there is none.
         self._number = 0
         self._exit_code: int | None = None
         self._finalizer: finalize[[subprocess.Popen[bytes]], RunnerProcess] | None = None
 
     def start(self, folder: Path, log: Path, drivers: Path, frame_rate: float, arguments: Sequence[object]) -> None:
-        """Start a scenario in `folder`, whose output goes into `log`; `drivers` has modules for it."""
+        """Start a scenario in `folder`.
+
+        `log`: file for its output. `drivers`: folder of Python modules that it needs. `frame_rate`: in Hz. `arguments`:
+        command-line arguments of ScenarioRunner.
+        """
         request = {
             "folder": str(folder.resolve()),
             "log": str(log.resolve()),
@@ -50,13 +55,13 @@ class RunnerProcess:
         assert self._process is not None
         self._number, self._exit_code = 0, None
         assert self._process.stdout is not None
-        # Otherwise `poll` tells how the program has ended.
+        # If the program has ended, `poll` returns its exit code.
         with suppress(OSError):
             self._send(json.dumps(request))
             self._number = int(self._process.stdout.readline().decode().removeprefix("started ") or 0)
 
     def begin_storyboard(self) -> None:
-        """Let the scenario begin, for which its process waits."""
+        """Let the process of the scenario begin the storyboard, for which it waits."""
         with suppress(OSError):
             self._send("")
 
@@ -73,7 +78,7 @@ class RunnerProcess:
         return self._exit_code
 
     def wait(self, timeout: float) -> bool:
-        """Wait for the end of the scenario's process, at most `timeout` s; return whether it has ended."""
+        """Wait up to `timeout` s for the end of the scenario's process; return whether it has ended."""
         deadline = time.monotonic() + timeout
         while self.poll() is None:
             if time.monotonic() > deadline:
@@ -92,7 +97,7 @@ class RunnerProcess:
             self.close()
 
     def close(self) -> None:
-        """End the program with all that it has started; the next scenario starts it again."""
+        """End the program and all processes that it has started; the next scenario starts it again."""
         if self._finalizer is not None:
             self._finalizer()
         self._process = None
@@ -111,10 +116,10 @@ class RunnerProcess:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=output,
-            # Whether there is a line to read is seen from outside.
+            # Unbuffered, so that `select` sees whether there is a line to read.
             bufsize=0,
         )
-        # Ends the program, also if nobody calls it.
+        # Ends the program even if `close` is never called.
         self._finalizer = finalize(self, _end_program, self._process)
 
     def _send(self, line: str) -> None:

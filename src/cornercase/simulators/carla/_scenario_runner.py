@@ -1,4 +1,4 @@
-"""Run a scenario by ScenarioRunner, and see when it ends."""
+"""Run of a scenario by ScenarioRunner, from its start to its end or failure."""
 
 from __future__ import annotations
 
@@ -24,29 +24,30 @@ _END_MESSAGES: Final = ("All scenario tests were passed", "Not all scenario test
 _LOAD_MESSAGE: Final = "The scenario cannot be loaded"
 # ScenarioRunner prints it before other errors, which 0.9.15 and 0.9.16 make themselves when it interrupts them.
 _WATCHDOG_WORDS: Final = "Watchdog exception"
-# Of errors that are not the scenario's: CARLA's client, ScenarioRunner's watchdog, the traffic manager's port.
+# Words in errors that are not due to the scenario: CARLA's client, the watchdog, the traffic manager's port.
 _WORDS_OF_SERVER: Final = (
     "time-out of", _WATCHDOG_WORDS, "Timeout occurred during scenario execution", "because of bind error",
 )  # fmt: skip
-# Its agents print this in each tick.
+# ScenarioRunner's agents print this in each tick.
 _TICK_WORDS: Final = "======[Agent] Wallclock_time"
 _ERRORS_OF_SERVER: Final = ("RuntimeError", _WATCHDOG_WORDS)
 _ERROR_PATTERN: Final = re.compile(r"^\w*(Error|Exception)\b")
-# Bytes: an agent may print without end. What tells how the run has ended is in the last ones.
+# Limits in bytes, since an agent may print without end. The last bytes show how the run has ended.
 _MAX_OUTPUT, _LAST_OUTPUT = 1 << 30, 1 << 20
 _MAX_LINE: Final = 300
 
 
 class SilenceError(SimulatorError):
-    """No frame has come for too long, and it is not known whether the server or ScenarioRunner is to blame."""
+    """Error if no frame has come for too long, whether because of the server or of ScenarioRunner."""
 
 
 @dataclass(frozen=True)
 class RunLimits:
-    """When a run ends at the latest: after `duration` s, at a collision, or if no frame comes for `silence` s.
+    """Limits at which a run ends at the latest.
 
-    `ego_may_vanish` is whether the scenario removes the ego, which ends it, too. `describe_server_end` tells how the
-    server has ended, empty while it runs: nobody has to wait for that one.
+    `duration`: simulated time in s. `until_collision`: whether the first collision ends the run. `silence`: time in s
+    without a frame. `ego_may_vanish`: whether the scenario removes the ego, which ends the run, too.
+    `describe_server_end`: function that returns how the server has ended, and an empty text while the server runs.
     """
 
     duration: float
@@ -67,9 +68,10 @@ def run_scenario_runner(
     time_step: float,
     before_start: Callable[[], None] = lambda: None,
 ) -> None:
-    """Run a file until the scenario ends; `before_start` is called when all entities exist.
+    """Run a scenario file by ScenarioRunner until the scenario ends; `tracker` records the entities.
 
-    After a failure, `runner` is closed, so that the next scenario starts it again.
+    `drivers`: folder of controllers. `options`: further arguments of ScenarioRunner. `time_step`: in s. `before_start`
+    is called when all entities exist. After a failure, `runner` is closed, so that the next scenario starts it again.
     """
     arguments = ["--sync", "--openscenario", file.resolve(), *options]
     if runner.environment.has_frame_rate:
@@ -85,7 +87,7 @@ def run_scenario_runner(
                 raise
             stopped = False
         finally:
-            # None if it has to be ended.
+            # None if ScenarioRunner has to be ended.
             exit_code = runner.poll()
             runner.end_scenario()
         _check_size(log)
@@ -98,7 +100,7 @@ def run_scenario_runner(
             raise _explain_failure(_read_failure(failure), output, exit_code, tracker)
         may_end_early = stopped or limits.ego_may_vanish
         if not may_end_early and (reason := tracker.describe_early_end()):
-            raise SimulationError(f"the recording is of no use: {reason}")
+            raise SimulationError(f"the recording cannot be used: {reason}")
     except BaseException:
         runner.close()
         raise
@@ -111,7 +113,10 @@ def _wait_for_end(
     limits: RunLimits,
     before_start: Callable[[], None],
 ) -> bool:
-    """Wait until the run or the parent process has ended or must end; True if ScenarioRunner must be stopped."""
+    """Wait until the run has ended or reaches a limit; return whether ScenarioRunner must be stopped.
+
+    Waiting also ends with the parent process.
+    """
     has_parent, frames, last_frame_time = make_parent_check(), 0, time.monotonic()
     frame_file = log.with_name(_FIRST_FRAME_FILE)
     while runner.poll() is None and has_parent():
@@ -145,14 +150,14 @@ def _check_size(log: Path) -> None:
     try:
         size = log.stat().st_size
     except OSError:
-        # It is said when the run has ended.
+        # The error is raised when the run has ended.
         return
     if size > _MAX_OUTPUT:
         raise SimulationError(f"ScenarioRunner and the agent in it printed more than {_MAX_OUTPUT / 2**30:.2g} GiB")
 
 
 def _read_output(log: Path) -> str:
-    """Return the last part of what ScenarioRunner has printed."""
+    """Return the last MiB of what ScenarioRunner has printed."""
     try:
         with log.open("rb") as file:
             file.seek(max(log.stat().st_size - _LAST_OUTPUT, 0))
@@ -177,7 +182,7 @@ def _lost_file_error(file: Path, error: Exception) -> SimulationError:
 
 
 def _find_errors(output: str) -> list[str]:
-    """Return lines that look like errors, and the last one of each traceback."""
+    """Return the lines of an output that look like errors, and the last line of each traceback."""
     errors, is_in_traceback = [], False
     for line in output.splitlines():
         is_last = is_in_traceback and bool(line.strip()) and not line[0].isspace()
@@ -188,7 +193,7 @@ def _find_errors(output: str) -> list[str]:
 
 
 def _read_failure(file: Path) -> str:
-    """Return the error with which the storyboard has failed, in one line; empty if it has not."""
+    """Return the error with which the storyboard has failed, in one line; empty if there is none."""
     try:
         return " ".join(file.read_text(encoding="utf-8", errors="replace").split())[:_MAX_LINE]
     except OSError:
@@ -196,13 +201,16 @@ def _read_failure(file: Path) -> str:
 
 
 def _is_of_scenario(error: str) -> bool:
-    """Return whether there is an error that would occur again if the scenario were retried."""
+    """Return whether an error is due to the scenario, so that it would occur again; False for an empty text."""
     is_of_server = error.startswith(_ERRORS_OF_SERVER) and any(words in error for words in _WORDS_OF_SERVER)
     return bool(error) and not is_of_server
 
 
 def _explain_failure(failure: str, output: str, exit_code: int | None, tracker: EntityTracker) -> SimulationError:
-    """Return why ScenarioRunner did not run a scenario to the end; a `SimulatorError` if a retry may help."""
+    """Return an error that says why ScenarioRunner did not run a scenario to the end.
+
+    The error is a `SimulatorError` if a retry may help.
+    """
     lines = [line.strip()[:_MAX_LINE] for line in output.splitlines() if line.strip() and _TICK_WORDS not in line]
     watchdog = [line for line in lines if line.startswith(_WATCHDOG_WORDS)]
     errors = [failure] if failure else _find_errors(output)
@@ -217,4 +225,4 @@ def _explain_failure(failure: str, output: str, exit_code: int | None, tracker: 
         if early_end := tracker.describe_early_end():
             reason, is_of_scenario = early_end, True
     error_class = SimulationError if is_of_scenario else SimulatorError
-    return error_class(f"ScenarioRunner did not run it to the end: {reason}")
+    return error_class(f"ScenarioRunner did not run the scenario to its end: {reason}")

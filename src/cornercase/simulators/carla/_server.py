@@ -21,7 +21,8 @@ _MESH: Final = {
 class CarlaServer:
     """A CARLA server that no other program uses.
 
-    `patience` is the time in s to wait for an answer. `renders` is whether it draws pictures.
+    `patience`: time in s to wait for an answer. `any_version`: whether the server may have another version than the
+    client. `renders`: whether the server draws pictures.
     """
 
     def __init__(
@@ -32,9 +33,10 @@ class CarlaServer:
         self._client: ClientProcess | None = None
 
     def connect(self, environment: RunnerEnvironment, *, has_answered: bool = False) -> None:
-        """Start the client unless it runs; `InputError` if no server of ScenarioRunner's version answers.
+        """Start the client unless it runs, and connect it to the server.
 
-        If the server has just answered a call, its silence is a `SimulatorError`.
+        Raises `InputError` if no server answers, or if the versions of server, client and ScenarioRunner differ. If the
+        server has answered a call just before (`has_answered`), its silence is a `SimulatorError` instead.
         """
         if self._client is not None:
             return
@@ -63,13 +65,14 @@ class CarlaServer:
 
     @property
     def is_connected(self) -> bool:
-        """Whether the client runs."""
+        """True if the client runs."""
         return self._client is not None
 
     def prepare(self, town: str, road: str, *, keep: str = "") -> None:
-        """Load a map of CARLA, or the text of a road file, and remove actors of earlier runs but for `keep`.
+        """Load a map of CARLA or a road file, and remove the actors of earlier runs.
 
-        Raises `InputError` if the server has no map of that name.
+        `town`: name of CARLA's map, or empty. `road`: text of the road file, or empty. `keep`: role name of an actor
+        that stays. Raises `InputError` if the server has no map of this name.
         """
         if available := self._ask("load_map", town, road, _MESH, _LOAD_TIMEOUT, self.patience):
             raise InputError(
@@ -80,12 +83,12 @@ class CarlaServer:
         self._ask("remove_actors", keep)
 
     def leave_synchronous_mode(self) -> None:
-        """Leave synchronous mode, in which the server would wait for ticks, unless the client was disconnected."""
+        """Leave synchronous mode, in which the server would wait for ticks; does nothing without a client."""
         if self._client is not None:
             self._ask("leave_synchronous_mode")
 
     def start_recorder(self, path: Path) -> None:
-        """Let the server write a recording."""
+        """Let CARLA's recorder write a recording into a file on the server's machine."""
         self._ask("start_recorder", str(path))
 
     def stop_recorder(self) -> None:
@@ -93,16 +96,16 @@ class CarlaServer:
         self._ask("stop_recorder")
 
     def track(self, names: Sequence[str], external: str) -> None:
-        """Begin to record the actors with these role names; `external` may exist already."""
+        """Begin to record the actors with these role names; only the actor `external` may exist already."""
         self._ask("track", list(names), external)
 
     def poll(self) -> dict[str, Any]:
-        """Return what was recorded since the last call."""
+        """Return the frames, contacts and entities that were recorded since the last call."""
         result: dict[str, Any] = self._ask("poll")
         return result
 
     def end_tracking(self) -> None:
-        """Record no longer."""
+        """Remove the sensors, and stop recording."""
         self._ask("end_tracking")
 
     @property

@@ -1,4 +1,4 @@
-"""CARLA, through its ScenarioRunner."""
+"""CARLA as a simulator, run by its ScenarioRunner."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ _REPLACEMENT_BY_STATUS: Final = {
     HandlingStatus.APPROXIMATE: "; an entity that reacts to an agent does that, any other one moves along a trajectory",
     HandlingStatus.SAMPLED: "; the entity moves along a trajectory of the builtin simulator",
 }
-# An agent of the kind that `agent` names, for checks.
+# Example of a file for the option `agent`, by which agents are checked.
 EXAMPLE_AGENT_FILE: Final = Path(__file__).with_name("cornercase_example_agent.py")
 # Categories for which ScenarioRunner would choose any vehicle.
 _UNSUPPORTED_CATEGORIES: Final = ("semitrailer", "trailer", "train", "tram")
@@ -66,13 +66,13 @@ _SILENCE_FACTOR: Final = 3
 
 
 class Carla(Simulator):
-    """Runs concrete scenarios by ScenarioRunner in synchronous mode, on a CARLA server that nothing else uses.
+    """Simulator that runs concrete scenarios on a CARLA server by ScenarioRunner, in synchronous mode.
 
-    Each scenario is written as OpenSCENARIO 1.0 and run by a ScenarioRunner process of its own, in ScenarioRunner's
-    environment; on Linux that is a fork of one that has imported ScenarioRunner. A client in the same environment
-    records the motion of all entities. CARLA's behaviour agents drive entities with the driver ``cautious``,
-    ``normal`` or ``aggressive`` along their initial route; ScenarioRunner moves all others. CARLA is not
-    deterministic, so run each scenario several times.
+    Nothing else may use the server. Each scenario is written as OpenSCENARIO 1.0 and run by a ScenarioRunner process of
+    its own, in the Python environment of ScenarioRunner. A client of CARLA in the same environment records the motion
+    of all entities. CARLA's behaviour agents drive entities with the driver ``cautious``, ``normal`` or ``aggressive``
+    along their initial route; ScenarioRunner moves all other entities. CARLA is not deterministic, so run each scenario
+    several times.
 
     Parameters
     ----------
@@ -83,47 +83,51 @@ class Carla(Simulator):
     on_collision : {"continue", "stop"}, default "continue"
         Whether the first collision of two entities ends the run. CARLA's sensors detect collisions.
     drivers : mapping of str to str or Driver, optional
-        Behaviour agent by entity. Any other driver, also one of your own, can drive the ego.
+        Behaviour agent of CARLA, by entity. The ego can have any other driver, too, for example one of your own.
     ego : str, default "Ego"
         Entity that becomes ScenarioRunner's ego vehicle.
     hosts : str, default "localhost"
-        Where CARLA listens: ``host`` or ``host:port``, several separated by ``+``, used in turn.
+        Host on which CARLA listens, as ``host`` or ``host:port``. The workers use several hosts, separated by ``+``, in
+        turn.
     port : int, default 2000
-        Port of the first worker; each further one on a host uses the port 4 above.
+        Port of the first worker. Each further worker on the same host uses a port that is higher by 4.
     worker : int, default 0
-        Number of this worker.
+        Number of this worker process, from 0 on.
     scenario_runner, python, carla_root : str, optional
         Folder of ScenarioRunner, Python of its environment, and folder of CARLA, which contains
         ``PythonAPI/carla/agents``. Default: the environment variables ``SCENARIO_RUNNER_ROOT``,
         ``CORNERCASE_CARLA_PYTHON`` (else the current Python) and ``CARLA_ROOT``.
     agent, agent_config : str, optional
-        File of your own agent for ScenarioRunner (``AutonomousAgent``), which drives the ego, and its configuration.
+        File of your own agent for ScenarioRunner (``AutonomousAgent``), which drives the ego, and its configuration
+        file.
     external_ego : bool, default False
-        Whether another program makes the ego, a vehicle with the role name `ego`, and drives it, such as Autoware by
-        CARLA's ROS bridge. ScenarioRunner waits for it and puts it where the scenario begins.
+        Whether another program, such as Autoware with CARLA's ROS bridge, creates and drives the ego: a vehicle whose
+        role name is the value of `ego`. ScenarioRunner waits for this vehicle and moves it to its initial position.
     record : {"client", "recorder"}, default "client"
-        Whether motion is recorded by the client or read from the file of CARLA's recorder, which the server writes and
-        which must be accessible here.
+        Whether motion is recorded by the client or read from the file of CARLA's recorder. The server writes this file,
+        which must be accessible on this machine.
     folder : str, optional
-        Where the files of each scenario and of the recorder are kept; by default they are deleted.
+        Folder in which the files of each scenario and of CARLA's recorder are kept; by default they are deleted.
     seed : int, default 0
         Seed of CARLA's traffic manager.
     undriven : bool, default False
-        Whether a scenario with another driver of cornercase may run; the storyboard alone moves that entity.
+        Whether a scenario may run in which an entity has a driver that CARLA does not support. The storyboard alone
+        then moves this entity.
     open_loop : bool, default False
-        Whether an entity that ScenarioRunner cannot move by the storyboard may move along a trajectory of the builtin
-        simulator, although it should react to an entity that an agent drives.
+        Whether an entity that should react to an agent-driven entity may move along a trajectory of the builtin
+        simulator instead, if ScenarioRunner cannot move it by the storyboard.
     any_version : bool, default False
-        Whether a CARLA, its client and ScenarioRunner of different versions may be used.
+        Whether CARLA, its client and ScenarioRunner may have different versions.
     patience : float, default 20
         Time in s to wait for an answer of the server.
     start : str, optional
-        Command that starts a server for this worker, in which ``{port}`` stands for its port. It is started again
-        after a crash, a hang or a lost frame. By default a server runs already.
+        Command that starts a CARLA server for this worker; ``{port}`` in the command stands for the port. The server is
+        started again after a crash, a hang or a lost frame. By default a server must run already.
     restart_after : int, default 0
-        Number of scenarios after which a server that was started so is started again; 0 for never.
+        Number of scenarios after which a server started by `start` is started again; 0 for never.
     rendering : bool, optional
-        Whether the server draws pictures, which cameras need. By default it does with ``agent`` or ``external_ego``.
+        Whether the server draws pictures, which cameras need. By default it draws them only with ``agent`` or
+        ``external_ego``.
 
     Raises
     ------
@@ -196,10 +200,12 @@ class Carla(Simulator):
         self._folder = folder
         self._last_scenario: ScenarioFile | None = None
         if self._attached is not None and agent:
-            raise InputError(f"`drivers` {ego}: the agent {agent} drives the ego; leave out one of them.")
+            raise InputError(
+                f"`drivers` {ego}: the agent {agent} already drives the ego; leave out this driver or the agent."
+            )
         self._external_ego = bool(external_ego)
         if self._external_ego and (agent or self._attached is not None or ego in self._drivers):
-            raise InputError(f"external_ego: something else drives {ego}, too; leave out one of them.")
+            raise InputError(f"external_ego: {ego} already has an agent or a driver; leave out one of them.")
         self._agent = None if not agent else _existing_file(agent, "agent")
         self._agent_config = None if not agent_config else _existing_file(agent_config, "agent_config")
 
@@ -225,7 +231,7 @@ class Carla(Simulator):
 
     @classmethod
     def notices(cls, scenario: ScenarioFile, values: Mapping[str, Value] | None = None) -> tuple[Notice, ...]:
-        """List content that is left out, changed or replaced by a trajectory for ScenarioRunner."""
+        """List content of a scenario that is left out, changed or replaced by a trajectory for ScenarioRunner."""
         root = make_concrete_tree(scenario, values or {})
         ignored = (
             Notice(
@@ -242,7 +248,7 @@ class Carla(Simulator):
 
     @classmethod
     def availability(cls) -> Availability:
-        """Return whether client and ScenarioRunner are installed; whether a server runs is not checked."""
+        """Return whether CARLA's client and ScenarioRunner are installed; does not check whether a server runs."""
         client_version, missing = "", ""
         try:
             client_version = find_client_version(RunnerEnvironment.find("", "", ""))
@@ -258,7 +264,7 @@ class Carla(Simulator):
         )  # fmt: skip
 
     def component_versions(self) -> Mapping[str, str]:
-        """Return the versions of client and ScenarioRunner, and what is used of the installation."""
+        """Return the versions of CARLA's client and ScenarioRunner, and the Python and CARLA folder in use."""
         environment = self._environment
         return {
             "CARLA's client": find_client_version(environment),
@@ -269,15 +275,15 @@ class Carla(Simulator):
 
     @classmethod
     def own_agents(cls) -> Mapping[str, Mapping[str, object]]:
-        """Return CARLA's behaviour agents, and an agent for ScenarioRunner as users write them."""
+        """Return the options for each behaviour agent of CARLA and for an example of a user's agent, by agent."""
         behaviors = {f"CARLA's behaviour agent '{name}'": {"drivers": {"Ego": name}} for name in BEHAVIORS}
         return {**behaviors, "an AutonomousAgent in a file": {"agent": str(EXAMPLE_AGENT_FILE)}}
 
     def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
         """Run scenarios.
 
-        Also raises `InputError` if no server answers, a server of another version than the client's, or one that
-        another worker uses.
+        Also raises `InputError` if no server answers, if the server has another version than the client, or if another
+        worker uses the server.
         """
         for concrete in concretes:
             scenario = self._last_scenario = concrete.load_file(self._last_scenario)
@@ -293,13 +299,13 @@ class Carla(Simulator):
                 yield error
 
     def _give_up_server(self) -> None:
-        """End a server that was started here, so that the next scenario starts it again, and the client in any case."""
+        """End the client, and the server if it was started here, so that the next scenario starts both again."""
         self._server.disconnect()
         if self._process is not None:
             self._process.stop()
 
     def close(self) -> None:
-        """End ScenarioRunner, the client, and the server that was started here."""
+        """End ScenarioRunner and CARLA's client, and the server if it was started here."""
         if self._runner is not None:
             self._runner.close()
         self._server.disconnect()
@@ -308,7 +314,7 @@ class Carla(Simulator):
         self._lock.release()
 
     def check_supported(self, scenario: ScenarioFile) -> None:
-        """Refuse a scenario with entities or drivers that CARLA does not have; name parameters without effect."""
+        """Refuse a scenario with entities or drivers that CARLA does not have; notify of parameters without effect."""
         driven = {*self._behavior_agents(scenario)}
         if self._agent or self._attached or self._external_ego:
             driven.add(self._ego)
@@ -341,8 +347,8 @@ class Carla(Simulator):
                 behaviors[name] = driver
             elif driver and not self._undriven and not is_driven:
                 raise InputError(
-                    f"{scenario.path}: '{name}' has the driver '{driver}', which CARLA does not support; `simulator`"
-                    " carla:undriven=true runs it with the storyboard only."
+                    f"{scenario.path}: '{name}' has the driver '{driver}', which CARLA does not support; with"
+                    f" `simulator` carla:undriven=true the storyboard alone moves {name}."
                 )
         return behaviors
 
@@ -429,14 +435,14 @@ class Carla(Simulator):
             server.leave_synchronous_mode()
             recording = tracker.make_recording(file, self._duration, self._stop_on_collision)
         self.notify(
-            f"{name} vanished from CARLA in a run, which no action of the scenario says"
+            f"{name} vanished from CARLA in a run, although no action of the scenario removes it"
             for k, name in enumerate(recording.names)
             if not np.isfinite(recording.x[k, -1]) and not _removes_entity(scenario, name)
         )
         return recording if self._record == "client" else self._read_recorder_file(log, recording)
 
     def _release_server(self) -> None:
-        """Leave synchronous mode after a failure, which is said instead of those of this call."""
+        """Leave synchronous mode after a failure; errors are ignored, since the failure itself is raised."""
         try:
             if self._describe_server_end():
                 # Each further call would wait for its answer.
@@ -446,17 +452,17 @@ class Carla(Simulator):
             self._server.disconnect()
 
     def _explain_silence(self, error: SilenceError, tracker: EntityTracker) -> SimulationError:
-        """Return what it means that no frame has come although the server answers."""
+        """Return an error that says why no frame has come although the server answers."""
         if self._external_ego and self._ego in tracker.missing:
             return SimulationError(
                 f"external_ego: no program has made a vehicle with the role name '{self._ego}', for which"
-                " ScenarioRunner waits; start that program before"
+                " ScenarioRunner waits; start that program first"
             )
-        reason = f"{error}, though it answers, since ScenarioRunner asked for none"
+        reason = f"{error}, although it answers, because ScenarioRunner requested no frame"
         if self._agent is None:
             return SimulatorError(reason)
         name = self._agent.name
-        return SimulationError(f"{reason}: the agent {name} hangs, or needs more time by `simulator` carla:patience=")
+        return SimulationError(f"{reason}: the agent {name} hangs, or needs a larger `simulator` carla:patience=")
 
     def _describe_server_end(self) -> str:
         return "" if self._process is None else self._process.describe_end()
@@ -470,7 +476,11 @@ class Carla(Simulator):
         ]  # fmt: skip
 
     def _read_recorder_file(self, path: Path, seen: Recording) -> Recording:
-        """Return the motion from the recorder's file, which begins a frame after what the client has seen."""
+        """Return the recording from the file of CARLA's recorder.
+
+        The file begins one frame later than `seen`, the recording of the client, so the first frame is taken from
+        `seen`.
+        """
         self._server.stop_recorder()
         if not path.is_file():
             raise SimulationError(
@@ -494,7 +504,10 @@ class Carla(Simulator):
 
 
 def _read_drivers(drivers: Mapping[str, DriverLike] | None, ego: str) -> tuple[dict[str, str], Driver | None]:
-    """Return CARLA's behaviour agents by entity, and the driver of cornercase or of the user that drives the ego."""
+    """Split drivers into CARLA's behaviour agents, by entity, and the driver of the ego, if it has another one.
+
+    Raises `InputError` if an entity other than the ego has a driver that is no behaviour agent.
+    """
     behaviors, attached = {}, None
     for entity, driver in check_drivers(drivers).items():
         if isinstance(driver, str) and driver in BEHAVIORS:
@@ -510,7 +523,7 @@ def _read_drivers(drivers: Mapping[str, DriverLike] | None, ego: str) -> tuple[d
 
 
 def _removes_entity(scenario: ScenarioFile, name: str) -> bool:
-    """Whether a scenario has an action that removes an entity, or one that a parameter names."""
+    """Return whether an action of a scenario removes an entity, or an entity that a parameter names."""
     return any(
         action.get("entityRef") == name or action.get("entityRef", "").startswith("$")
         for action in scenario.root.iter("EntityAction")
@@ -519,10 +532,10 @@ def _removes_entity(scenario: ScenarioFile, name: str) -> bool:
 
 
 def _find_free_port() -> int:
-    """Return a port for CARLA's traffic manager, which its client opens on this machine.
+    """Return a free port of this machine for CARLA's traffic manager, which the client opens.
 
-    With a fixed one, two ScenarioRunners on a machine would disturb each other, and the server takes a traffic manager
-    that was killed for one that runs.
+    With a fixed port, two ScenarioRunners on one machine would disturb each other. The server would also take a traffic
+    manager that was killed for one that still runs.
     """
     with socket.socket() as free:
         free.bind(("", 0))

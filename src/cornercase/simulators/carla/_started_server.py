@@ -1,4 +1,4 @@
-"""Start CARLA's server, wait for it, and start it again."""
+"""Process of a CARLA server that cornercase starts, waits for and starts again."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Final
 
 from cornercase.simulators._server_process import ServerProcess
 
-# s: a server loads its first map before it answers.
+# Time in s: a server loads its first map before it answers.
 _START_TIMEOUT: Final = 180.0
 _ANSWER_TIMEOUT: Final = 2.0
 # Request of the server's version in MessagePack: [0, 1, "version", [[False]]].
@@ -16,7 +16,11 @@ _VERSION_REQUEST: Final = b"\x94\x00\x01\xa7version\x91\x91\xc2"
 
 
 def make_carla_process(command: str, host: str, port: int, restart_after: int) -> ServerProcess:
-    """Return a server that a command starts, in which ``{port}`` stands for the port; nothing is started yet."""
+    """Return the process of a CARLA server, which is not started yet.
+
+    `command` starts the server; ``{port}`` in the command stands for the port. The server is started again after
+    `restart_after` scenarios (0: never).
+    """
     return ServerProcess(
         "CARLA",
         command,
@@ -29,7 +33,7 @@ def make_carla_process(command: str, host: str, port: int, restart_after: int) -
 
 
 def is_answering(host: str, port: int) -> bool:
-    """Return whether a server answers a call; its ports are open before that."""
+    """Return whether a CARLA server answers a request; its ports are open before it can answer."""
     try:
         with socket.create_connection((host, port), _ANSWER_TIMEOUT) as connection:
             connection.settimeout(_ANSWER_TIMEOUT)

@@ -1,4 +1,4 @@
-"""Rewrite a storyboard for ScenarioRunner: remove unsupported parts, make names unique, end acts in time."""
+"""Changes of a storyboard for ScenarioRunner: remove unsupported parts, make names unique, end acts in time."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from cornercase.simulators.carla._support_table import HandlingStatus, SupportFi
 
 
 class _TypedMaker(Protocol):
-    """Types of lxml's maker of elements: ``E.Tag(child, name="value")``."""
+    """Type of lxml's factory of XML elements, as in ``E.Tag(child, name="value")``."""
 
     def __getattr__(self, tag: str) -> Callable[..., etree._Element]: ...
 
@@ -24,7 +24,7 @@ class _TypedMaker(Protocol):
 E: Final[_TypedMaker] = ElementMaker()
 
 _NAMED_ELEMENTS: Final = ("Story", "Act", "ManeuverGroup", "Maneuver", "Event", "Action", "Condition")
-# Without effect, but required in 1.0 or removed elsewhere.
+# Elements without effect that OpenSCENARIO 1.0 requires or other functions remove.
 _REQUIRED_ELEMENTS: Final = ("BoundingBox", "Performance", "Axles", "ObjectController")
 _ROUTE_ACTIONS: Final = ("AssignRouteAction", "AcquirePositionAction")
 
@@ -55,14 +55,14 @@ def _enclosing_action(action: etree._Element) -> etree._Element:
 
 
 def remove_element(element: etree._Element) -> None:
-    """Remove an element from its parent; does nothing if it has none."""
+    """Remove an element from its parent, if it has a parent."""
     parent = element.getparent()
     if parent is not None:
         parent.remove(element)
 
 
 def remove_entities_from_storyboard(root: etree._Element, names: Collection[str]) -> None:
-    """Remove entities from the storyboard, and then all elements that have become empty."""
+    """Remove entities from all maneuver groups, and then all elements that have become empty."""
     for reference in list(root.iterfind(".//Actors/EntityRef")):
         if reference.get("entityRef") in names:
             remove_element(reference)
@@ -90,9 +90,10 @@ def set_initial_state(
     *,
     by_centers: bool = False,
 ) -> None:
-    """Set initial positions, speeds and heights in m; of other initial actions only some routes stay.
+    """Replace all initial actions by positions, speeds and heights from the start of a recording.
 
-    With `by_centers`, positions are those of the centres of boxes, where the actors of CARLA have their origins.
+    `keep_routes_of`: entities whose initial routes stay. `heights`: height in m of each entity of the recording. With
+    `by_centers`, positions are those of the centres of boxes, where CARLA's actors have their origins.
     """
     actions = root.find("Storyboard/Init/Actions")
     assert actions is not None
@@ -134,13 +135,13 @@ def make_speed_action(speed: float) -> etree._Element:
 
 
 def format_number(number: float) -> str:
-    """Format a number with six decimals at most and without an exponent."""
+    """Format a number with at most six decimals and without an exponent."""
     text = f"{float(number):.6f}".rstrip("0").rstrip(".")
     return "0" if text in ("-0", "") else text
 
 
 def make_condition(name: str, by_value: etree._Element) -> etree._Element:
-    """Create a ``ConditionGroup`` of one condition on a value."""
+    """Create a ``ConditionGroup`` with a single condition, which compares a value."""
     return E.ConditionGroup(E.Condition(E.ByValueCondition(by_value), name=name, delay="0", conditionEdge="none"))
 
 
@@ -160,7 +161,10 @@ def add_missing_start_triggers(root: etree._Element) -> None:
 
 
 def set_end_time(root: etree._Element, seconds: float, keep: Collection[etree._Element]) -> None:
-    """End the storyboard at a time in s, or earlier if a condition group in `keep` is true."""
+    """End the storyboard at a time in s, or earlier when a condition group in `keep` becomes true.
+
+    All other condition groups of the stop trigger are removed.
+    """
     storyboard = root.find("Storyboard")
     assert storyboard is not None
     stop = storyboard.find("StopTrigger")

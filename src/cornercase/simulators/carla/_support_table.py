@@ -1,6 +1,7 @@
-"""Support table: what ScenarioRunner does with each element and attribute of OpenSCENARIO, from its sources.
+"""Support table of ScenarioRunner: how it handles each element and attribute of OpenSCENARIO.
 
-Notes are about 0.9.16; the last columns say which version does anything with it.
+The table was made from ScenarioRunner's sources. Its notes are about version 0.9.16; its last columns say which
+versions handle an element or attribute at all.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ _TABLE_FILE: Final = "scenario_runner.csv"
 
 
 class HandlingStatus(StrEnum):
-    """How an element or attribute is handled for ScenarioRunner."""
+    """Kind of treatment that an element or attribute gets in the conversion for ScenarioRunner."""
 
     EXECUTED = "executed"
     # Replaced by something equivalent.
@@ -39,12 +40,13 @@ class HandlingStatus(StrEnum):
 
 @dataclass(frozen=True)
 class SupportRow:
-    """How ScenarioRunner handles an element or attribute.
+    """A row of the support table: how ScenarioRunner handles an element or attribute.
 
     `element`: name of the element, with parents if they matter (``"CollisionCondition/ByType"``). `attribute`: name of
     the attribute; empty if the row is about the element. `values`: attribute values that the row is about; empty for
-    all other values. `note`: reason or replacement. `matters`: whether leaving the content out can change positions,
-    speeds or verdicts. `versions`: those of ScenarioRunner that do something with it; others ignore it or stop at it.
+    all other values. `note`: reason, or what replaces the content. `matters`: whether leaving the content out can
+    change positions, speeds or verdicts. `versions`: versions of ScenarioRunner that handle the content; all others
+    ignore it or stop at it.
     """
 
     element: str
@@ -58,7 +60,7 @@ class SupportRow:
 
 @dataclass(frozen=True)
 class SupportFinding:
-    """An element or attribute that ScenarioRunner does not simply execute, and its description in messages."""
+    """An element or attribute that ScenarioRunner does not execute unchanged, and its description in messages."""
 
     description: str
     row: SupportRow
@@ -82,7 +84,7 @@ def load_support_table() -> dict[tuple[str, str], tuple[SupportRow, ...]]:
 
 
 def find_row(path: tuple[str, ...], attribute: str = "", value: str = "") -> SupportRow | None:
-    """Return the row of an element (as a path of names) or of its attribute; None if the table has none."""
+    """Return the row of the table for an element (as a path of names) or its attribute; None without a row."""
     for row in load_support_table().get((path[-1], attribute), ()):
         names = tuple(row.element.split("/"))
         if path[-len(names) :] == names and (not row.values or value in row.values):
@@ -91,9 +93,10 @@ def find_row(path: tuple[str, ...], attribute: str = "", value: str = "") -> Sup
 
 
 def find_unsupported(element: etree._Element) -> Iterator[SupportFinding]:
-    """Yield the elements and attributes below an element that ScenarioRunner does not simply execute.
+    """Yield the elements and attributes that ScenarioRunner does not execute unchanged.
 
-    Unknown content counts as refused. If an element is left out, rewritten or replaced, its children are skipped.
+    `element` itself and all elements below it are checked. Unknown content counts as refused. If an element is left
+    out, rewritten or replaced, its children are skipped.
     """
     path = tuple(str(ancestor.tag) for ancestor in (*reversed(list(element.iterancestors())), element))
     row = find_row(path) or _unknown_row(path[-1], "")
@@ -112,7 +115,10 @@ def find_unsupported(element: etree._Element) -> Iterator[SupportFinding]:
 
 
 def find_version_gaps(element: etree._Element) -> dict[str, tuple[str, ...]]:
-    """Return the elements below an element that some versions of ScenarioRunner lack, with those that have them."""
+    """Return the elements that some versions of ScenarioRunner lack, with the versions that have them.
+
+    `element` itself and all elements below it are checked.
+    """
     gaps: dict[str, tuple[str, ...]] = {}
     for child in element.iter("*"):
         path = tuple(str(ancestor.tag) for ancestor in (*reversed(list(child.iterancestors())), child))
@@ -123,7 +129,7 @@ def find_version_gaps(element: etree._Element) -> dict[str, tuple[str, ...]]:
 
 
 def describe_version_gap(name: str, versions: tuple[str, ...]) -> str:
-    """Return a sentence without full stop: which versions lack an element, and which have it."""
+    """Return a sentence, without full stop, on which versions of ScenarioRunner lack an element and which have it."""
     lacking = " and ".join(version for version in VERSIONS if version not in versions)
     return f"ScenarioRunner {lacking} has no {name}; use {' or '.join(versions)}"
 

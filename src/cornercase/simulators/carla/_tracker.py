@@ -1,4 +1,4 @@
-"""Record the motion of entities while ScenarioRunner runs."""
+"""Recording of the motion of entities while ScenarioRunner runs."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class _TrackedFrame(NamedTuple):
 
 
 class _Box(NamedTuple):
-    """Object type and box of an actor, in m; the centre of the box is ahead and to the left of its origin."""
+    """Object type and box of an actor, in m; the box's centre is `ahead` and to the `left` of the actor's origin."""
 
     object_type: str
     length: float
@@ -44,12 +44,11 @@ class _Box(NamedTuple):
 
 
 class EntityTracker:
-    """Records the motion of all entities in a run, by a client of its own.
+    """Recorder of the motion of all entities in a run, by the client of a CARLA server.
 
-    `names` are the role names of the actors; `external` may exist before the run. `time_step` is the time between
-    frames in s. The run ends when the actor `ego` is removed. `missing` lists entities that the last search did
-    not find, `first_frame` is the number of the frame in which the storyboard begins, `last_frame` of that in which it
-    ends.
+    `names`: role names of the actors. `ego`: actor whose removal ends the run. `time_step`: time between frames in s.
+    `external`: actor that may exist before the run. `missing`: entities that the last search did not find.
+    `first_frame` and `last_frame`: numbers of the frames in which the storyboard begins and ends.
     """
 
     def __init__(
@@ -76,7 +75,7 @@ class EntityTracker:
             self._server.end_tracking()
 
     def update(self) -> None:
-        """Take what was recorded since the last call, and look for entities that were not found before."""
+        """Fetch what was recorded since the last call, and look for entities that were not found before."""
         news = self._server.poll()
         self._frames += [
             _TrackedFrame(number, step, {int(actor): tuple(pose) for actor, pose in poses.items()})
@@ -91,7 +90,10 @@ class EntityTracker:
 
     @property
     def has_collision(self) -> bool:
-        """Whether two entities have collided, and the frame in which they did has come; it may come later."""
+        """True if two entities have collided, and the frame of the collision has been received.
+
+        A frame may be received later than its collision.
+        """
         newest = max((frame.number for frame in self._frames), default=0) if self._contacts else 0
         return any(number <= newest and {a, b} <= self._entity_ids for number, a, b in self._contacts)
 
@@ -108,7 +110,7 @@ class EntityTracker:
         return (len(run) - 1) * self._time_step, self._ids[self._ego] not in self._frames[-1].poses
 
     def describe_early_end(self) -> str:
-        """Return why the recording ends before the storyboard, as a clause; empty if it does not."""
+        """Return, as a clause, why the recording ends before the storyboard; empty if it does not."""
         run = self._run_frames()
         later = [] if not run else [frame for frame in self._frames if run[-1].number < frame.number <= self.last_frame]
         # ScenarioRunner may remove entities at the end of the last frame.
@@ -120,10 +122,13 @@ class EntityTracker:
         return f"the time step of CARLA became {following.time_step:g} s at t = {instant:g} s"
 
     def make_recording(self, source: Path, duration: float, until_collision: bool) -> Recording:
-        """Create the recording, up to `duration` s or the first collision; `source` names the run in messages."""
+        """Create the recording, up to `duration` s, or to the first collision if `until_collision`.
+
+        `source` names the run in messages.
+        """
         frames = self._run_frames()
         if len(frames) < 2:
-            raise SimulationError(f"CARLA showed no two frames with all of {', '.join(self._names)}")
+            raise SimulationError(f"CARLA sent fewer than two frames with all of {', '.join(self._names)}")
         first = frames[0].number
         collisions = self._first_collisions({frame.number for frame in frames})
         last = first + round(duration / self._time_step)
@@ -144,12 +149,15 @@ class EntityTracker:
         return recording_from_samples(source, tracks, collisions_until_end)
 
     def _run_frames(self) -> list[_TrackedFrame]:
-        """Return frames at equal time steps, from the one in which the storyboard begins to the last with the ego."""
+        """Return the frames of the run, from the start of the storyboard to the last frame with the ego.
+
+        Raises `SimulatorError` if a frame between them is missing.
+        """
         if self.first_frame is None or not self._ids:
             return []
         ego = self._ids[self._ego]
         run: list[_TrackedFrame] = []
-        # The server may tell a frame again when its settings change, with the new ones or without entities.
+        # The server may send a frame again when its settings change, with the new settings or without entities.
         for _, frame in sorted({frame.number: frame for frame in reversed(self._frames)}.items()):
             if not self.first_frame <= frame.number <= self.last_frame:
                 continue
@@ -167,7 +175,7 @@ class EntityTracker:
         return run
 
     def _first_collisions(self, frames: set[int]) -> list[tuple[int, tuple[str, str]]]:
-        """Return the index of the first frame in which each pair of entities touches, and the pair, sorted."""
+        """Return each pair of entities that touch, after the number of the first frame in which they touch."""
         names = {number: name for name, number in self._ids.items()}
         first: dict[tuple[str, str], int] = {}
         for frame, a, b in sorted(self._contacts):

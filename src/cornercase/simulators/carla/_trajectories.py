@@ -1,4 +1,4 @@
-"""Replace the motion of entities by trajectories from a run of the builtin simulator."""
+"""Trajectories of entities from a run of the builtin simulator, which replace their motion in the storyboard."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from cornercase.simulators.carla._storyboard_rewrite import (
 
 # Tolerance in m and rad of the interpolation between two vertices.
 _MAX_POSITION_ERROR, _MAX_HEADING_ERROR = 0.001, 0.001
-# Maximum change of heading in rad between vertices: not all players interpolate it.
+# Maximum change of heading in rad between vertices: not all simulators interpolate the heading.
 _MAX_HEADING_CHANGE: Final = 0.03
 # Tolerance in m/s between recorded speed and speed of the motion, and maximum number of jumps.
 _MAX_SPEED_ERROR, _MAX_JUMPS = 0.2, 20
@@ -39,7 +39,11 @@ _NEVER_TIME: Final = 1e6
 def simulate_builtin(
     scenario: ScenarioFile, values: Mapping[str, Value], time_step: float, duration: float
 ) -> Recording:
-    """Run a scenario in the builtin simulator; `InputError` if it fails, or if an entity is missing at the start."""
+    """Run a scenario in the builtin simulator, and return its recording.
+
+    `time_step` and `duration` are in s. Raises `InputError` if the run fails, or if an entity does not exist at the
+    start.
+    """
     simulator = Builtin(time_step=time_step, duration=duration)
     (recording,) = simulator.run([ConcreteScenario(scenario.path, dict(values), scenario)])
     if isinstance(recording, SimulationError):
@@ -55,11 +59,12 @@ def simulate_builtin(
 
 @dataclass(frozen=True)
 class Trajectory:
-    """The motion of an entity, in several parts if it jumps.
+    """The motion of an entity, in several parts if the entity jumps.
 
-    `parts`: vertices as arrays with the columns time in s, x and y in m and heading in rad. `starts`: times after which
-    the parts begin. `first_speed`: in m/s, if it is not that of the motion that follows. `end`: time after which the
-    entity vanishes. `note`: what is not the same, if anything.
+    `parts`: arrays of vertices with the columns time in s, x and y in m, and heading in rad. `starts`: times in s after
+    which the parts begin. `first_speed`: initial speed in m/s, if it differs from the speed of the motion that follows.
+    `end`: time in s after which the entity vanishes, or None. `note`: a sentence if the trajectory differs from the
+    recording, else empty.
     """
 
     parts: tuple[FloatArray, ...]
@@ -69,14 +74,20 @@ class Trajectory:
     note: str
 
     def to_properties(self, *, ends: bool) -> dict[str, str]:
-        """Return the properties of `cornercase_trajectory.py`, which lets the entity vanish if `ends`."""
+        """Return the trajectory as properties of the controller `cornercase_trajectory.py`.
+
+        `ends`: whether the controller removes the entity at the end of the trajectory.
+        """
         parts = [[[float(format_number(value)) for value in vertex] for vertex in part.tolist()] for part in self.parts]
         properties = {"parts": json.dumps(parts), "starts": json.dumps([round(start, 6) for start in self.starts])}
         return properties | ({"end": format_number(self.end)} if ends and self.end is not None else {})
 
 
 def add_trajectories(root: etree._Element, trajectories: Mapping[str, Trajectory], ego: str) -> None:
-    """Add a story in which entities, if any, follow their trajectories, and which lasts until the stop trigger."""
+    """Add a story in which entities follow their trajectories until the stop trigger.
+
+    The story is added even without trajectories, since it keeps ScenarioRunner running until the stop trigger.
+    """
     storyboard = root.find("Storyboard")
     assert storyboard is not None
     stop = storyboard.find("StopTrigger")
@@ -95,7 +106,7 @@ def add_trajectories(root: etree._Element, trajectories: Mapping[str, Trajectory
 
 
 def _add_maneuver_group(act: etree._Element, entity: str, name: str) -> etree._Element:
-    """Add a maneuver group with one entity, and return the maneuver in it."""
+    """Add a maneuver group with one entity to an act, and return the maneuver in the group."""
     actors, maneuver = E.Actors(E.EntityRef(entityRef=entity), selectTriggeringEntities="false"), E.Maneuver(name=name)
     act.append(E.ManeuverGroup(actors, maneuver, name=name, maximumExecutionCount="1"))
     return maneuver
@@ -106,7 +117,7 @@ def _add_event(maneuver: etree._Element, name: str, action: etree._Element, trig
 
 
 def make_trajectory(recording: Recording, name: str) -> Trajectory:
-    """Return the trajectory of an entity in a recording."""
+    """Convert the motion of an entity in a recording into a trajectory."""
     k = recording.names.index(name)
     is_present = np.isfinite(recording.x[k])
     count = len(is_present) if is_present.all() else int(np.argmin(is_present))
@@ -163,7 +174,7 @@ def _add_entity_trajectory(act: etree._Element, trajectory: Trajectory, name: st
 
 
 def _extrapolate(vertex: FloatArray, speed: float, time: float) -> FloatArray:
-    """Return the vertex at another time, if the entity goes straight on at a constant speed."""
+    """Extrapolate a vertex to another time in s, straight ahead at a constant speed in m/s."""
     distance = speed * (time - vertex[0])
     return np.array(
         [time, vertex[1] + distance * np.cos(vertex[3]), vertex[2] + distance * np.sin(vertex[3]), vertex[3]]
@@ -171,7 +182,10 @@ def _extrapolate(vertex: FloatArray, speed: float, time: float) -> FloatArray:
 
 
 def _find_jumps(time: FloatArray, x: FloatArray, y: FloatArray, speed: FloatArray) -> list[int]:
-    """Return the samples at which an entity jumps instead of moving at its speed; 0 is a wrong initial speed."""
+    """Return the indices of samples at which an entity jumps instead of moving at its recorded speed.
+
+    Index 0 means that the initial speed differs from the motion.
+    """
     if len(time) < 2:
         return []
     speeds = np.hypot(np.diff(x), np.diff(y)) / np.diff(time)
@@ -180,7 +194,10 @@ def _find_jumps(time: FloatArray, x: FloatArray, y: FloatArray, speed: FloatArra
 
 
 def _make_follow_action(trajectory: FloatArray, name: str) -> etree._Element:
-    """Create the action that follows a trajectory, given as an array with the columns time, x, y and heading."""
+    """Create the action that follows a trajectory.
+
+    The columns of `trajectory` are time in s, x and y in m, and heading in rad.
+    """
     vertices = [
         E.Vertex(make_world_position(x, y, heading), time=format_number(time)) for time, x, y, heading in trajectory
     ]
@@ -196,7 +213,7 @@ def _make_follow_action(trajectory: FloatArray, name: str) -> etree._Element:
 
 
 def _select_vertices(trajectory: FloatArray) -> list[int]:
-    """Return the indices of vertices that suffice to reproduce the motion by linear interpolation."""
+    """Return the indices of vertices from which linear interpolation reproduces the motion accurately enough."""
     indices, last = [0], len(trajectory) - 1
     limit = np.array([_MAX_POSITION_ERROR, _MAX_POSITION_ERROR, _MAX_HEADING_ERROR])
     while indices[-1] < last:

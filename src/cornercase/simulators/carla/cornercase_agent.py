@@ -1,7 +1,8 @@
-"""Agent that drives the ego on CARLA by a driver of cornercase, which decides in cornercase's own process.
+"""Agent for ScenarioRunner that moves the ego on CARLA as a driver of cornercase decides.
 
-ScenarioRunner loads this file by its name, in its own environment with an older Python, so it must not import
-cornercase. In each tick it sends the state of all entities as a line of JSON, and receives a velocity and a yaw rate.
+The driver runs in cornercase's own process. ScenarioRunner loads this file by its name, in its own environment with an
+older Python, so it must not import cornercase. In each tick the agent sends the state of all entities as a line of
+JSON, and receives a velocity and a yaw rate.
 """
 
 from __future__ import annotations
@@ -17,10 +18,13 @@ from srunner.scenariomanager.carla_data_provider import CarlaDataProvider
 
 
 class CornercaseAgent(AutonomousAgent):  # type: ignore[misc]
-    """Asks cornercase in each tick; `config` is the JSON file with its port and the names of all entities."""
+    """Agent that asks cornercase in each tick how to move the ego.
+
+    Its configuration is a JSON file with the port of cornercase, a token, and the names of the ego and of all entities.
+    """
 
     def setup(self, path_to_conf_file: str) -> None:
-        """Connect to cornercase."""
+        """Read the configuration file, and connect to cornercase."""
         with open(path_to_conf_file, encoding="utf-8") as file:
             config = json.load(file)
         self._ego: str = config["ego"]
@@ -33,7 +37,7 @@ class CornercaseAgent(AutonomousAgent):  # type: ignore[misc]
         self._answers = self._socket.makefile("r", encoding="utf-8")
 
     def run_step(self, input_data: Any, timestamp: float) -> Any:
-        """Move the ego in one tick."""
+        """Ask cornercase for the velocity and the yaw rate of the ego, and apply them for one tick."""
         self._find_actors()
         states = {name: _state_of(actor) for name, actor in self._actors.items() if actor.is_alive}
         question = json.dumps({"token": self._token, "time": timestamp, "states": states})
@@ -46,7 +50,7 @@ class CornercaseAgent(AutonomousAgent):  # type: ignore[misc]
         if not self._is_placed:
             self._move_to_center(ego)
         vx, vy = decided["velocity"]
-        # From the centre of the box to the origin of the actor.
+        # Convert the velocity of the box's centre into the velocity of the actor's origin.
         yaw = math.radians(ego.get_transform().rotation.yaw)
         sideways = decided["yaw_rate"] * ego.bounding_box.location.x
         vx, vy = vx - sideways * math.sin(yaw), vy - sideways * math.cos(yaw)
@@ -60,7 +64,7 @@ class CornercaseAgent(AutonomousAgent):  # type: ignore[misc]
         self._socket.close()
 
     def _move_to_center(self, ego: Any) -> None:
-        """Move the ego so that the centre of its box is where the scenario has it; so far its origin is there."""
+        """Move the ego so that the centre of its box, instead of the actor's origin, is at its initial position."""
         self._is_placed = True
         transform = ego.get_transform()
         transform.location -= ego.bounding_box.location.x * transform.get_forward_vector()
@@ -75,7 +79,10 @@ class CornercaseAgent(AutonomousAgent):  # type: ignore[misc]
 
 
 def _state_of(actor: Any) -> List[float]:
-    """Return centre of the box, heading, speed, and size of the box, in right-handed axes: m, rad, m/s."""
+    """Return x and y of the box's centre, heading, speed, and length and width of the box of an actor.
+
+    The values are in m, rad and m/s, in right-handed axes.
+    """
     transform, velocity, box = actor.get_transform(), actor.get_velocity(), actor.bounding_box
     yaw = math.radians(transform.rotation.yaw)
     cos, sin = math.cos(yaw), math.sin(yaw)

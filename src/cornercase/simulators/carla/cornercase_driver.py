@@ -1,4 +1,4 @@
-"""Controller that drives a vehicle on CARLA along the route of its scenario.
+"""Controller for ScenarioRunner that drives a vehicle on CARLA along the route of its scenario.
 
 ScenarioRunner loads this file by its name, in its own environment with an older Python, so it must not import
 cornercase.
@@ -32,12 +32,15 @@ _WAYPOINT_STEP = 2.0
 _LOOKAHEAD = 15.0
 # Most ticks until all sensors send, and time in s for what they send to arrive.
 _MAX_SENSOR_TICKS, _SENSOR_DELAY = 100, 0.02
-# Where a sensor is: in m and degrees.
+# Keys of a sensor's position in m and orientation in degrees.
 _PLACEMENT = ("x", "y", "z", "pitch", "yaw", "roll")
 
 
 class CornercaseDriver(NpcVehicleControl):  # type: ignore[misc]
-    """Follows a route as CARLA's behaviour agent, as the user's agent, or at the speed of the storyboard.
+    """Controller that drives a vehicle along a route in ScenarioRunner.
+
+    CARLA's behaviour agent or the user's agent drives the vehicle. Without an agent, the vehicle follows the route at
+    the speed of the storyboard.
 
     The optional `args` are: ``behavior`` ("cautious", "normal" or "aggressive"); ``agent``, the file of an
     ``AutonomousAgent``; ``agent_config``, its configuration; ``route``, an XML element with the positions of a route.
@@ -88,9 +91,9 @@ class CornercaseDriver(NpcVehicleControl):  # type: ignore[misc]
 
 
 class _UserAgent:
-    """The user's agent with its sensors, as ScenarioRunner runs it in route scenarios.
+    """The user's agent with its sensors, run in the same way as in route scenarios of ScenarioRunner.
 
-    Its `AgentWrapper` fails at sensors other than cameras, lidars and GNSS.
+    ScenarioRunner's own `AgentWrapper` fails at sensors other than cameras, lidars and GNSS.
     """
 
     def __init__(self, actor: Any, file: str, config: str, targets: List[Any]) -> None:
@@ -131,7 +134,7 @@ class _UserAgent:
     def _add_sensor(self, spec: Dict[str, Any]) -> None:
         interface, tag = self._agent.sensor_interface, spec["id"]
         if spec["type"] == "sensor.speedometer":
-            # Not one of CARLA's.
+            # CARLA has no such sensor.
             interface.register_sensor(tag, self)
             self._speedometers.append(tag)
             return
@@ -154,7 +157,10 @@ class _UserAgent:
         self._sensors.append(sensor)
 
     def _start_sensors(self) -> None:
-        """Tick until all sensors send, and once more, so that the agent has one value of each for its first step."""
+        """Tick until all sensors have sent data, and once more for the agent.
+
+        The agent then has one value of each sensor for its first step.
+        """
         world = CarlaDataProvider.get_world()
         for _ in range(_MAX_SENSOR_TICKS):
             world.tick()
@@ -167,7 +173,7 @@ class _UserAgent:
 
 
 def _interpolate_trajectory(points: List[Any]) -> Any:
-    """Return a route of waypoints, as positions of GNSS and of the world."""
+    """Return a route of waypoints through positions, first in GNSS and then in world coordinates."""
     world = CarlaDataProvider.get_world()
     try:
         if "world" in inspect.signature(interpolate_trajectory).parameters:
@@ -183,9 +189,9 @@ def _interpolate_trajectory(points: List[Any]) -> Any:
 
 
 def _trace_route(planner: Any, start: Any, target: Any) -> List[Tuple[Any, Any]]:
-    """Return waypoints and road options between two positions.
+    """Return waypoints and road options from one position to another.
 
-    CARLA's planner leaves out roads that neither come from nor lead to another one, and fails there.
+    CARLA's planner leaves out roads without a predecessor and a successor, and fails on them.
     """
     try:
         return list(planner.trace_route(start, target))
@@ -199,7 +205,7 @@ def _trace_route(planner: Any, start: Any, target: Any) -> List[Tuple[Any, Any]]
 
 
 def _follow_lane(start: Any, target: Any) -> List[Tuple[Any, Any]]:
-    """Return waypoints and road options along the lane, from a position to where another one is nearest."""
+    """Return waypoints and road options along a lane, from a position to the point nearest to a target."""
     waypoint = CarlaDataProvider.get_map().get_waypoint(start)
     plan = [(waypoint, RoadOption.LANEFOLLOW)]
     while True:
@@ -214,7 +220,7 @@ def _follow_lane(start: Any, target: Any) -> List[Tuple[Any, Any]]:
 
 
 def _plan_route(actor: Any, targets: List[Any]) -> List[Tuple[Any, Any]]:
-    """Return waypoints and road options from the actor's position along a route, and on beyond its end."""
+    """Return waypoints and road options from the actor's position along a route, and up to 200 m beyond its end."""
     # ScenarioRunner 0.9.13 has no planner that all share.
     planner = GlobalRoutePlanner(CarlaDataProvider.get_map(), _WAYPOINT_STEP)
     start = CarlaDataProvider.get_location(actor) or actor.get_location()
@@ -239,6 +245,6 @@ def _plan_route(actor: Any, targets: List[Any]) -> List[Tuple[Any, Any]]:
 
 
 def _direction_difference(waypoint: Any, other: Any) -> float:
-    """Difference of two waypoints' directions in degrees."""
+    """Return the difference between the directions of two waypoints in degrees."""
     turn = float(other.transform.rotation.yaw - waypoint.transform.rotation.yaw)
     return (turn + 180.0) % 360.0 - 180.0

@@ -1,4 +1,4 @@
-"""Agent for ScenarioRunner as users write them, with which `cornercase check-simulator carla` sees whether they drive.
+"""Example of a user's agent for ScenarioRunner; `cornercase check-simulator carla` checks whether it drives.
 
 ScenarioRunner loads this file by its name, in its own environment with an older Python, so it must not import
 cornercase.
@@ -17,13 +17,16 @@ _GAIN = 0.3
 
 
 class CornercaseExampleAgent(AutonomousAgent):  # type: ignore[misc]
-    """Drives straight on at 8 m/s whatever is ahead, by a speedometer; it also has an IMU."""
+    """Agent that drives straight ahead at 8 m/s by its speedometer, whatever is ahead.
+
+    An IMU is its second sensor.
+    """
 
     def setup(self, path_to_conf_file: str) -> None:
-        """Read nothing."""
+        """Do nothing, since the agent needs no configuration."""
 
     def sensors(self) -> List[Dict[str, Any]]:
-        """Return the sensors."""
+        """Return the specifications of the IMU and the speedometer."""
         position = {"x": 0.7, "y": 0.0, "z": 1.6, "roll": 0.0, "pitch": 0.0, "yaw": 0.0}
         return [
             {"type": "sensor.other.imu", "id": "IMU", **position},
@@ -31,7 +34,7 @@ class CornercaseExampleAgent(AutonomousAgent):  # type: ignore[misc]
         ]
 
     def run_step(self, input_data: Any, timestamp: float) -> Any:
-        """Return throttle and brake; fail if the IMU sends nothing."""
+        """Return throttle and brake; raise `RuntimeError` if the IMU has sent nothing."""
         if len(input_data["IMU"][1]) == 0:
             raise RuntimeError("the IMU has sent nothing")
         difference = _GAIN * (_TARGET_SPEED - input_data["SPEED"][1]["speed"])

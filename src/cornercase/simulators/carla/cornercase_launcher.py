@@ -1,16 +1,18 @@
-"""Runs one scenario after another by ScenarioRunner, each in a process of its own; a program that cornercase starts.
+"""Program that runs scenarios by ScenarioRunner one after another, each in a process of its own.
 
-It runs in ScenarioRunner's own Python, 3.7 or later, so it must not import cornercase. It imports ScenarioRunner once.
-Each scenario then runs in a fork of this process: nothing of it is left for the next one, neither in ScenarioRunner's
-classes, py_trees' blackboard and Python's modules nor in CARLA's client, which is made in the fork. Where a process
-cannot be forked safely, the program runs a single scenario itself and ends.
+cornercase starts this program in ScenarioRunner's own Python (3.7 or later), so it must not import cornercase. It
+imports ScenarioRunner once. Each scenario then runs in a fork of the program, so that nothing of a scenario is left for
+the next one: neither in ScenarioRunner's classes, py_trees' blackboard and Python's modules nor in CARLA's client,
+which is made in the fork. If the program cannot fork safely, it runs a single scenario itself and ends.
 
-Requests come as lines of JSON on standard input, with the keys ``folder``, ``log``, ``drivers``, ``frame_rate`` in Hz,
-and ``arguments`` of ScenarioRunner. For each, ``started PID`` goes out on standard output; and if that is a fork,
-``ended STATUS``, negative for a signal. When all entities are there, and before the storyboard begins, the scenario's
-process writes the number of the present frame into a file, and waits for a line on standard input: by then all entities
-are recorded. When the storyboard has ended, it writes the number of the last frame, or the error with which it has
-failed.
+Requests are lines of JSON on standard input, with the keys ``folder``, ``log``, ``drivers``, ``frame_rate`` (in Hz) and
+``arguments`` (of ScenarioRunner). For each request, the program writes ``started PID`` to standard output. If the
+scenario runs in a fork, it also writes ``ended STATUS`` at the end, with a negative status for a signal.
+
+When all entities exist, the scenario's process writes the number of the present frame into a file. It begins the
+storyboard when a line comes on standard input, so that cornercase can record all entities from the start. When the
+storyboard has ended, it writes the number of the last frame, or the error with which the storyboard has failed, into
+another file.
 """
 
 from __future__ import annotations
@@ -28,13 +30,13 @@ from typing import Any
 
 FIRST_FRAME_FILE, LAST_FRAME_FILE, FAILURE_FILE = "first_frame", "last_frame", "failure"
 _THREADS_FOLDER = "/proc/self/task"
-# Of Linux' `prctl`: this process becomes the parent of descendants whose own parents have ended.
+# Option of Linux' `prctl`: this process becomes the parent of descendants whose own parents have ended.
 _SET_CHILD_SUBREAPER = 36
 
 
 def main() -> int:
-    """Run scenarios until standard input ends; a fork returns its exit status."""
-    # ScenarioRunner may print; then it must not be taken for an answer.
+    """Run the requested scenarios until standard input ends; a fork returns the exit status of its scenario."""
+    # What ScenarioRunner prints must not be taken for an answer.
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)
     n_threads = _count_threads_of_libraries()
@@ -43,7 +45,7 @@ def main() -> int:
     if can_fork:
         _read_schema()
         _adopt_descendants()
-    # Programs that an agent starts have nothing to read, else they would take the requests of later scenarios.
+    # Programs that an agent starts get an empty input, or they would read the requests of later scenarios.
     requests = os.dup(0)
     nothing = os.open(os.devnull, os.O_RDONLY)
     os.dup2(nothing, 0)
@@ -52,7 +54,7 @@ def main() -> int:
     while True:
         line = _read_line(requests)
         if child:
-            # Not before, so that until now the number means no other process.
+            # Not earlier: until then, no other process can get the same number.
             os.waitpid(child, 0)
         if not line:
             return 0
@@ -74,7 +76,7 @@ def main() -> int:
 
 
 def _count_threads_of_libraries() -> int:
-    """Import the libraries whose threads survive a fork, as they start them again; return the number of threads."""
+    """Import libraries that start their threads again after a fork; return this process's number of threads."""
     for name in ("numpy", "scipy.linalg"):
         with suppress(ImportError):
             importlib.import_module(name)
@@ -86,13 +88,17 @@ def _count_threads() -> int:
 
 
 def _can_fork(n_threads: int) -> bool:
-    """Whether a fork has all that this process has; other threads than those of libraries would be missing."""
+    """Return whether this process can fork safely: it has no threads but the `n_threads` of libraries.
+
+    All other threads would be missing in the fork.
+    """
     return sys.platform == "linux" and threading.active_count() == 1 and 0 < _count_threads() <= n_threads
 
 
 def _read_schema() -> None:
-    """Read the schema of OpenSCENARIO for all scenarios; ScenarioRunner does it for each, longer than all else it does.
+    """Read OpenSCENARIO's schema once for all scenarios.
 
+    ScenarioRunner would read it for each scenario, which takes longer than everything else that it does at the start.
     Validation changes nothing in a schema, and each fork has its own copy.
     """
     try:
@@ -114,19 +120,22 @@ def _read_schema() -> None:
 
 
 def _adopt_descendants() -> None:
-    """Have what a scenario's process has started become a child of this process when the scenario's process ends."""
+    """Make this process the new parent of processes that are left when the process of a scenario ends."""
     with suppress(OSError, AttributeError):
         ctypes.CDLL(None).prctl(_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
 
 
 def _kill_children_but(ended: int) -> None:
-    """Kill what a scenario's process, which has ended, has started; it might go on to act on the server."""
+    """Kill the processes that a scenario has left, since they might go on to act on the server.
+
+    `ended` is the number of the scenario's own process, which has ended already.
+    """
     while True:
         try:
             with open(f"{_THREADS_FOLDER}/{os.getpid()}/children", encoding="ascii") as file:
                 children = [int(number) for number in file.read().split() if int(number) != ended]
         except OSError:
-            # Not each Linux tells its children.
+            # Some Linux kernels do not list the children of a process.
             return
         if not children:
             return
@@ -138,13 +147,19 @@ def _kill_children_but(ended: int) -> None:
 
 
 def _seed_again() -> None:
-    """Give this process other random numbers than its siblings; Python does that for the module `random`."""
+    """Seed NumPy again, so that the random numbers of this fork differ from those of other forks.
+
+    Python itself does this for the module `random`.
+    """
     if "numpy" in sys.modules:
         sys.modules["numpy"].random.seed()
 
 
 def _run_scenario(request: dict[str, Any], requests: int) -> int:
-    """Run ScenarioRunner in this process when the next line of `requests` comes, and return its exit status."""
+    """Run ScenarioRunner in this process, and return its exit status.
+
+    The storyboard begins when the next line of `requests` comes.
+    """
     log = os.open(request["log"], os.O_WRONLY | os.O_APPEND | os.O_CREAT)
     for stream in (1, 2):
         os.dup2(log, stream)
@@ -176,13 +191,16 @@ def _run_scenario(request: dict[str, Any], requests: int) -> int:
         return result
 
     manager_class.run_scenario = run_when_recorded
-    # Before 0.9.16 there is no option for it.
+    # ScenarioRunner before 0.9.16 has no option for the frame rate.
     scenario_runner.ScenarioRunner.frame_rate = request["frame_rate"]
     return int(scenario_runner.main() or 0)
 
 
 def _read_line(requests: int) -> str:
-    """Return a line of an open file, empty at its end; read no further, since a fork reads the next one."""
+    """Return the next line of an open file, empty at the end of the file.
+
+    Nothing after this line is read, since a fork reads the next line itself.
+    """
     line = b""
     while not line.endswith(b"\n"):
         character = os.read(requests, 1)

@@ -1,8 +1,9 @@
-"""Client of a CARLA server, which loads maps and records all entities; a program that cornercase starts.
+"""Program that loads maps and records all entities on a CARLA server, as a client of the server.
 
-It runs in ScenarioRunner's own Python, 3.7 or later, with that CARLA's own client, so it must not import cornercase.
-Requests come as lines of JSON on standard input: ``["method", argument, ...]``. One answer each goes out on standard
-output: ``{"result": ...}`` or ``{"error": "..."}``. Positions are in the right-handed axes of scenarios.
+cornercase starts this program in ScenarioRunner's own Python (3.7 or later), which has CARLA's client, so it must not
+import cornercase. Requests are lines of JSON on standard input: ``["method", argument, ...]``. It writes one answer
+each to standard output: ``{"result": ...}`` or ``{"error": "..."}``. Positions are in the right-handed axes of
+scenarios.
 """
 
 from __future__ import annotations
@@ -17,14 +18,14 @@ from typing import Any
 import carla
 
 _COLLISION_SENSOR = "sensor.other.collision"
-# ScenarioRunner leaves the road's friction behind, and all of these if it is killed.
+# Actors of runs: ScenarioRunner leaves the road's friction behind, and all of these if it is killed.
 _OWN_ACTORS = ("vehicle.", "walker.", "sensor.", "controller.", "static.")
 # Movable things of CARLA's own maps.
 _MAP_ACTORS = "static.prop.mesh"
 
 
 class Client:
-    """Answers the requests of cornercase."""
+    """Client of a CARLA server that executes the requests of cornercase."""
 
     def __init__(self) -> None:
         self._client: Any = None
@@ -33,11 +34,11 @@ class Client:
         self._draws_not: bool | None = None
 
     def get_version(self) -> str:
-        """Return the version of the client."""
+        """Return the version of CARLA's client."""
         return str(carla.Client("127.0.0.1", 1).get_client_version())
 
     def connect(self, host: str, port: int, timeout: float) -> list[str]:
-        """Return the versions of client and server."""
+        """Connect to a server, with a time limit in s; return the versions of client and server."""
         self._client = carla.Client(host, port)
         self._client.set_timeout(timeout)
         return [self._client.get_client_version(), self._client.get_server_version()]
@@ -45,7 +46,8 @@ class Client:
     def load_map(self, name: str, road: str, mesh: dict[str, Any], timeout: float, usual_timeout: float) -> list[str]:
         """Load a map of CARLA by its name, or a world from the text of a road file, unless it is loaded.
 
-        If the server has no map of that name, return the names of those that it has, else nothing.
+        If the server has no map of this name, return the names of its maps, else an empty list. `mesh`: parameters of
+        the generated world. `timeout`: time limit for loading in s. `usual_timeout`: time limit for later calls in s.
         """
         loaded = self._client.get_world().get_map()
         if road and _strip_before_root(loaded.to_opendrive()) != road:
@@ -61,7 +63,7 @@ class Client:
         return []
 
     def remove_actors(self, keep: str) -> None:
-        """Remove what earlier runs have left, but for the actor with the role name `keep`, and its sensors."""
+        """Remove actors that earlier runs have left, except the actor with the role name `keep` and its sensors."""
         actors = list(self._client.get_world().get_actors())
         external = [actor.id for actor in actors if keep and actor.attributes.get("role_name", "") == keep]
         for actor in actors:
@@ -72,7 +74,7 @@ class Client:
     def leave_synchronous_mode(self, renders: bool | None = None) -> None:
         """Leave synchronous mode, in which the server would wait for ticks that nobody sends any more.
 
-        `renders` is whether the server draws pictures until the next call without it.
+        `renders`: whether the server draws pictures from now on; None restores the server's original setting.
         """
         world = self._client.get_world()
         settings = world.get_settings()
@@ -85,34 +87,34 @@ class Client:
             world.apply_settings(settings)
 
     def start_recorder(self, path: str) -> None:
-        """Let the server record into a file of its own."""
+        """Let CARLA's recorder write a recording into a file on the server's machine."""
         self._client.start_recorder(path, True)
 
     def stop_recorder(self) -> None:
-        """Stop the server's recorder, so that it closes its file."""
+        """Stop CARLA's recorder, so that it closes its file."""
         self._client.stop_recorder()
         # The server answers this only after it has closed the file.
         self._client.get_world().get_settings()
 
     def track(self, names: list[str], external: str) -> None:
-        """Begin to record the actors with these role names; `external` may be there already."""
+        """Begin to record the actors with these role names; only the actor `external` may exist already."""
         self.end_tracking()
         self._tracker = Tracker(self._client, names, external)
 
     def poll(self) -> dict[str, Any]:
-        """Return what is new since the last call."""
+        """Return the frames, contacts and entities that were recorded since the last call."""
         assert self._tracker is not None
         return self._tracker.poll()
 
     def end_tracking(self) -> None:
-        """Remove the sensors, and record no longer."""
+        """Remove the sensors, and stop recording."""
         if self._tracker is not None:
             self._tracker.close()
         self._tracker = None
 
 
 class Tracker:
-    """Records the motion and the collisions of actors, from the first frame after its creation."""
+    """Recorder of the motion and the collisions of actors, from the first frame after its creation."""
 
     def __init__(self, client: Any, names: list[str], external: str) -> None:
         self._client, self._names = client, names
@@ -130,7 +132,7 @@ class Tracker:
         self._callback = self._world.on_tick(self._store_frame)
 
     def poll(self) -> dict[str, Any]:
-        """Return new frames and contacts, names that are missing, and the actors once none is missing."""
+        """Return new frames and contacts, the names of missing actors, and the actors once none is missing."""
         missing, entities = self._find_entities() if not self._ids else ([], {})
         with self._lock:
             frames, contacts = self._frames, self._contacts
@@ -138,7 +140,7 @@ class Tracker:
         return {"frames": frames, "contacts": contacts, "missing": missing, "entities": entities}
 
     def close(self) -> None:
-        """Stop the sensors; the server may be gone by now."""
+        """Stop recording, and remove the sensors; the server may be gone by now."""
         try:
             self._world.remove_on_tick(self._callback)
             for sensor in self._sensors:
@@ -153,7 +155,7 @@ class Tracker:
         for actor in world.get_actors():
             name = actor.attributes.get("role_name", "")
             is_new = name in self._names and actor.id not in self._earlier_ids
-            # An agent may make another one of that name.
+            # An agent may make another actor of the same name.
             if is_new and (name not in actors or actor.id < actors[name].id):
                 actors[name] = actor
         missing = [name for name in self._names if name not in actors]
@@ -191,7 +193,7 @@ class Tracker:
 
 
 def _describe(actor: Any) -> dict[str, Any]:
-    """Return number, kind and box of an actor; the box in m, its centre ahead and to the left of the origin."""
+    """Return number, type and box of an actor; lengths are in m, the box's centre relative to the actor's origin."""
     box = actor.bounding_box
     return {
         "id": actor.id,
@@ -210,7 +212,7 @@ def _strip_before_root(text: str) -> str:
 
 def main() -> None:
     """Answer requests until standard input ends."""
-    # CARLA's client may print; then it must not be taken for an answer.
+    # What CARLA's client prints must not be taken for an answer.
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)
     client = Client()
@@ -219,7 +221,7 @@ def main() -> None:
         try:
             answer = {"result": getattr(client, method)(*arguments)}
         except RuntimeError as error:
-            # So CARLA's client says that the server is gone or does not answer in time.
+            # CARLA's client raises this if the server is gone or does not answer in time.
             answer = {"error": str(error)}
         answers.write(json.dumps(answer) + "\n")
         answers.flush()

@@ -1,4 +1,4 @@
-"""Controller that moves an entity on CARLA along the timed trajectory of its scenario.
+"""Controller for ScenarioRunner that moves an entity on CARLA along the timed trajectory of its scenario.
 
 ScenarioRunner loads this file by its name, in its own environment with an older Python, so it must not import
 cornercase.
@@ -15,20 +15,22 @@ from srunner.scenariomanager.actorcontrols.basic_control import BasicControl
 from srunner.scenariomanager.carla_data_provider import CarlaDataProvider
 from srunner.scenariomanager.timer import GameTime
 
-# Time in s within which a velocity leads to the target position, if the time step is unknown.
+# Assumed time step in s, in which a velocity leads to the target position, if the time step is unknown.
 _DEFAULT_STEP = 0.05
 # Distance in m from the target position beyond which an entity is placed there.
 _MAX_DEVIATION = 3.0
 
 
 class CornercaseTrajectory(BasicControl):  # type: ignore[misc]
-    """Moves a vehicle by its velocity, a walker by its steps, and any other entity by its position.
+    """Controller that moves an entity along a trajectory in ScenarioRunner.
 
-    It replaces ScenarioRunner's own controls, which would leave the trajectory, and needs nothing of the storyboard. In
-    `args`, ``parts`` is a JSON list of the trajectory's parts, between jumps: lists of time in s, x and y in m and
-    heading in rad, in right-handed axes. Each part begins after one of the times ``starts``, and the entity vanishes
-    after the time ``end``, if any. ``center_x`` is the distance in m by which the centre of the scenario's box is ahead
-    of its reference point.
+    A vehicle is moved by its velocity, a walker by its steps, and any other entity by its position. This controller
+    replaces ScenarioRunner's own controls, which would leave the trajectory, and needs nothing of the storyboard.
+
+    In `args`, ``parts`` is a JSON list of the parts of the trajectory between jumps. Each part is a list of vertices:
+    time in s, x and y in m, and heading in rad, in right-handed axes. ``starts`` is a JSON list of the times in s after
+    which the parts begin. ``end`` is the time in s after which the entity vanishes, if any. ``center_x`` is the
+    distance in m by which the centre of the entity's box is ahead of its reference point in the scenario.
     """
 
     _actor: Any
@@ -96,7 +98,7 @@ class CornercaseTrajectory(BasicControl):  # type: ignore[misc]
         self._actor.apply_control(carla.WalkerControl(direction, distance / step if distance > 1e-4 else 0.0, False))
 
     def _pose_at(self, part: List[List[float]], elapsed: float) -> Tuple[float, float, float]:
-        """Return the pose of the entity's actor at a time, in CARLA's left-handed axes: in m and degrees."""
+        """Return x and y in m and yaw in degrees of the actor at a time in s, in CARLA's left-handed axes."""
         start, end, fraction = _leg_at(part, elapsed)
         x, y, heading = (start[k] + fraction * (end[k] - start[k]) for k in (1, 2, 3))
         x, y = x + self._origin_offset * math.cos(heading), y + self._origin_offset * math.sin(heading)
@@ -104,7 +106,10 @@ class CornercaseTrajectory(BasicControl):  # type: ignore[misc]
 
 
 def _leg_at(part: List[List[float]], elapsed: float) -> Tuple[List[float], List[float], float]:
-    """Return the vertices before and after a time, and the fraction of the way between them."""
+    """Return the vertices before and after a time in s, and the fraction of the interval that has elapsed.
+
+    `part` is a list of vertices: time in s, x and y in m, and heading in rad.
+    """
     k = min(max(sum(1 for vertex in part if vertex[0] <= elapsed) - 1, 0), len(part) - 2)
     start, end = part[k], part[k + 1]
     span = end[0] - start[0]
@@ -118,5 +123,5 @@ def _speed_at(part: List[List[float]], elapsed: float) -> float:
 
 
 def _wrap_degrees(degrees: float) -> float:
-    """Wrap an angle in degrees to the range of half a turn in either direction."""
+    """Wrap an angle in degrees to the range from -180 to 180."""
     return (degrees + 180.0) % 360.0 - 180.0
