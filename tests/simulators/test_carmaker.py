@@ -177,7 +177,7 @@ def test_a_carmaker_that_does_not_stop_is_left(project, quick):
     port = Port(odd={"SimStatus": "O7\r\n\r\n"})
     found = run(project, port)
     assert isinstance(found, SimulatorError)
-    assert "is not idle but running (7), also 0.6 s after StopSim" in str(found)
+    assert "is not idle but running (7), even 0.6 s after StopSim" in str(found)
     assert not any(one.startswith(("LoadTestRun", "StartSim")) for one in port.asked)
     port.close()
 
@@ -514,7 +514,7 @@ def test_a_carmaker_that_does_not_come_to_rest_is_left(cmapi, project, monkeypat
     monkeypatch.setattr("cornercase.simulators.carmaker._cmapi_client._END_TIMEOUT", 0.3)
     cmapi("restless")
     control = CmapiClient(project, "Crossing", 60.0)
-    with pytest.raises(SimulatorError, match="is not idle within"):
+    with pytest.raises(SimulatorError, match="did not become idle within"):
         control.run_testrun("Crossing", {"ego_speed": 7.0})
     control.close()
 
@@ -674,7 +674,9 @@ def test_licences_that_cannot_be_counted_are_one_sentence(project, monkeypatch):
 def test_a_testrun_elsewhere_is_not_checked_and_that_is_said(project):
     (project / "Data" / "TestRun" / "Crossing").unlink()
     port = Port()
-    with pytest.warns(NoticeWarning, match="Crossing: is not there, so that nobody checks whether .* uses ego_speed"):
+    with pytest.warns(
+        NoticeWarning, match="Crossing: does not exist, so cornercase cannot check whether .* uses ego_speed"
+    ):
         assert run(project, port).names == ("Ego", "T00")
     port.close()
 

@@ -1,1 +1,1 @@
-"""CarMaker, through IPG's Python module or its command port."""
+"""CarMaker as a simulator, controlled by IPG's Python module or by its command port."""

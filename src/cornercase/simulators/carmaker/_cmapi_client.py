@@ -28,10 +28,11 @@ def is_cmapi_installed() -> bool:
 
 
 class CmapiClient:
-    """Starts CarMaker once, and runs TestRuns with named values.
+    """Client that starts CarMaker once by IPG's Python module, and runs TestRuns with named values.
 
-    CarMaker is started with a variation of `testrun`. The event loop of IPG's module runs in its own thread. `timeout`
-    is the time limit in s of the start and of each run. Raises `InputError` if CarMaker does not start.
+    `project`: folder of the CarMaker project. `testrun`: TestRun with which CarMaker is started. `timeout`: time limit
+    in s of the start and of each run. The event loop of IPG's module runs in a thread of its own. Raises `InputError`
+    if CarMaker does not start.
     """
 
     def __init__(self, project: Path, testrun: str, timeout: float) -> None:
@@ -82,7 +83,7 @@ class CmapiClient:
             await self._end_carmaker()
 
     async def _end_carmaker(self) -> None:
-        """End the CarMaker that was started here, by force if the module does not, so that its licence is released."""
+        """End the CarMaker that was started here, by force if IPG's module fails, so that its licence is released."""
         try:
             await asyncio.wait_for(_await_if_awaitable(self._control.stop_and_disconnect()), _END_TIMEOUT)
         except Exception:
@@ -104,14 +105,15 @@ class CmapiClient:
         return variation
 
     def run_testrun(self, testrun: str, values: Mapping[str, Value], quantities: Sequence[str] = ()) -> Path:
-        """Run a TestRun with named values, and return the result file with these quantities.
+        """Run a TestRun with named values, and return the result file, which contains `quantities`.
 
-        Raises `SimulationError` if there is none in time, and `SimulatorError` if CarMaker has to be started again.
+        Raises `SimulationError` if the run fails or does not write exactly one result file, and `SimulatorError` if
+        CarMaker has to be started again.
         """
         before = ResultFileTracker(self._project)
         future = asyncio.run_coroutine_threadsafe(self._run_testrun_async(testrun, values, quantities), self._loop)
         try:
-            # The coroutine stops the run after `patience`; this time limit is for a module that does not answer.
+            # The coroutine stops the run after `timeout`; this time limit is for a module that does not answer.
             future.result(2 * self._timeout + _END_TIMEOUT)
         except SimulationError:
             raise
@@ -134,7 +136,7 @@ class CmapiClient:
         control, states = self._control, self._cmapi.ConditionSimState
         # A variation is accepted only in the state `configure`: not while a run is active, or ended without being left.
         if control.get_status() != self._cmapi.SimControlState.configure and not await self._stop_run():
-            raise SimulatorError(f"CarMaker is not idle within {_END_TIMEOUT:g} s")
+            raise SimulatorError(f"CarMaker did not become idle within {_END_TIMEOUT:g} s")
         variation = self._make_variation(testrun, values, quantities)
         control.set_variation(variation)
         await control.start_sim()
@@ -144,7 +146,7 @@ class CmapiClient:
             message = f"CarMaker did not end the TestRun within {self._timeout:g} s"
             if await self._stop_run():
                 raise SimulationError(message) from None
-            raise SimulatorError(f"{message}, and does not stop it") from None
+            raise SimulatorError(f"{message}, and could not stop it") from None
         failed = False
         # Not all versions of the module report how a run ended.
         with suppress(AttributeError):
@@ -153,7 +155,7 @@ class CmapiClient:
             raise SimulationError("CarMaker ended the TestRun with an error; see its log")
 
     async def _stop_run(self) -> bool:
-        """Stop a run and wait until CarMaker is idle; False after the time limit."""
+        """Stop a run, and return whether CarMaker becomes idle within the time limit."""
         await _await_if_awaitable(self._control.stop_sim())
         idle = self._control.create_simstate_condition(self._cmapi.ConditionSimState.idle)
         with suppress(TimeoutError):
@@ -170,6 +172,6 @@ class CmapiClient:
 
 
 async def _await_if_awaitable(result: Any) -> None:
-    """Await a result if this version of the module returns an awaitable."""
+    """Await a result if it is awaitable, which depends on the version of IPG's module."""
     if inspect.isawaitable(result):
         await result

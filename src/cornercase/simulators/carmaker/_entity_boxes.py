@@ -16,14 +16,17 @@ from cornercase.simulators.carmaker._testrun_files import TestRunFiles
 
 _DEFAULT_BOX: Final = EntityBox("car", 4.5, 1.8)
 _OBJECT_TYPES: Final = {"Pedestrian": "pedestrian", "MiscObject": "misc"}
-# m by which a box of the scenario file may differ from that of the TestRun.
+# Length in m by which a box of the scenario file may differ from the box of the TestRun.
 _SAME_BOX: Final = 0.1
 
 
 def find_entity_boxes(
     scenario: ScenarioFile, values: Mapping[str, Value], testrun: TestRunFiles | None
 ) -> dict[str, EntityBox]:
-    """Return the box of each entity: that of the scenario file, else of the TestRun, else a car of 4.5 m x 1.8 m."""
+    """Return the box of each entity, from the scenario file or else from the TestRun.
+
+    An entity without a box in both is a car of 4.5 m x 1.8 m.
+    """
     # Named values that the scenario does not declare are for the TestRun only.
     declared = {name: value for name, value in values.items() if name in scenario.parameters}
     stored = {} if testrun is None else testrun.boxes
@@ -38,11 +41,14 @@ def find_entity_boxes(
 
 
 def describe_box_problems(scenario: ScenarioFile, testrun: TestRunFiles | None) -> list[str]:
-    """Return sentences about entities without a box anywhere, and about boxes that are not those of the TestRun."""
+    """Return sentences about entities without a box in the scenario file and in the TestRun.
+
+    Further sentences are about boxes that differ between the two.
+    """
     boxes, stored = _read_boxes(scenario, {}), {} if testrun is None else testrun.boxes
     sentences = [
         f"{scenario.path}: the box of {name} is {box.length:g} m x {box.width:g} m, and in the files of the TestRun"
-        f" {stored[name].length:g} m x {stored[name].width:g} m; that of the scenario file is taken"
+        f" {stored[name].length:g} m x {stored[name].width:g} m; the box of the scenario file is used"
         for name, box in boxes.items()
         if box is not None
         and name in stored

@@ -1,4 +1,4 @@
-"""Limit how many CarMakers run on a host at a time to the number of licences."""
+"""Licences that limit how many CarMakers run on a host at a time."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from cornercase._common.errors import InputError
 from cornercase._common.platform import try_lock_file, user_cache_folder
 
 _POLL_INTERVAL: Final = 0.1
-# More do not wait on one host at a time.
+# Maximum number of workers that wait on one host at a time.
 _MAX_WAITING: Final = 256
 
 
 class Licence:
-    """One of `count` licences that all workers of this user on this host share; without limit if `count` is 0.
+    """One of `count` licences that all workers of this user on this host share; no limit if `count` is 0.
 
-    A licence is a locked file, so that a worker that dies gives it back.
+    A licence is a locked file. If a worker dies, the operating system releases its lock.
     """
 
     def __init__(self, count: int, folder: Path | None = None) -> None:
@@ -26,7 +26,7 @@ class Licence:
         self._handle: int | None = None
 
     def acquire(self) -> None:
-        """Wait until a licence is free, and take it; does nothing if there is one already."""
+        """Wait until a licence is free, and take it; does nothing if this object has a licence already."""
         if not self._count or self._handle is not None:
             return
         try:
@@ -49,13 +49,13 @@ class Licence:
                 os.close(waiting)
 
     def release(self) -> None:
-        """Give the licence back."""
+        """Give the licence back, if this object has one."""
         if self._handle is not None:
             os.close(self._handle)
             self._handle = None
 
     def is_awaited(self) -> bool:
-        """Return whether another worker waits for a licence."""
+        """Return whether another worker waits for a licence; False if this object has none."""
         if self._handle is None:
             return False
         for path in self._folder.glob("waiting *"):
@@ -68,7 +68,7 @@ class Licence:
         return False
 
     def _lock_any(self, name: str, count: int) -> int | None:
-        """Lock one of the files with a name and return its handle; None if all are locked."""
+        """Lock one of `count` files whose names begin with `name`; return its handle, or None if all are locked."""
         for number in range(count):
             handle = os.open(self._folder / f"{name} {number}", os.O_RDWR | os.O_CREAT, 0o600)
             if try_lock_file(handle):

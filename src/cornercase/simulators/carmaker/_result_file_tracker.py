@@ -1,4 +1,4 @@
-"""Find the result files that a run writes into a CarMaker project."""
+"""Result files that a run writes into a CarMaker project."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from pathlib import Path
 
 
 class ResultFileTracker:
-    """Remembers the result files that exist in a project before a run."""
+    """List of the result files that exist in a project before a run, to recognize the files of the run."""
 
     def __init__(self, project: Path) -> None:
         self._folder = project / "SimOutput"
         self._stamps_before = self._current_stamps()
 
     def new_files(self) -> list[Path]:
-        """Return the files that have been added or changed since, sorted by name."""
+        """Return the result files that were added or changed after this object was created, sorted by path."""
         return sorted(path for path, stamp in self._current_stamps().items() if self._stamps_before.get(path) != stamp)
 
     def is_old(self, path: Path) -> bool:
-        """Return whether a file existed before and has not changed."""
+        """Return whether a file existed before the run and has not changed since."""
         with suppress(OSError):
             return self._stamps_before.get(path.resolve()) == _file_stamp(path)
         return False

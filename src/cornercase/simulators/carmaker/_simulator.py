@@ -1,4 +1,4 @@
-"""IPG CarMaker, through IPG's Python module or the command port of a running CarMaker."""
+"""IPG CarMaker as a simulator, controlled by IPG's Python module or by the command port of a running CarMaker."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from cornercase.simulators.carmaker._testrun_files import TestRunFiles, read_tes
 _DEFAULT_PORT: Final = 16660
 # Time limit in s to connect to a CarMaker on this machine.
 _CONNECT_TIMEOUT: Final = 0.2
-# In the name of a TestRun, what stands for the name of the scenario file.
+# Part of the name of a TestRun that stands for the name of the scenario file.
 _SCENARIO: Final = "{scenario}"
 _TCL_CHARACTERS: Final = '"$[]{}\\;\r\n'
 # Elements of a scenario file that CarMaker has no use for, so that a value there does nothing.
@@ -55,7 +55,7 @@ def _is_port_open(host: str = "127.0.0.1", port: int = _DEFAULT_PORT) -> bool:
 
 
 class CarMaker(Simulator):
-    """Runs a TestRun of CarMaker, with a named value for each parameter.
+    """Simulator that runs a TestRun of CarMaker, with a named value for each parameter.
 
     If IPG's Python module ``cmapi`` can be imported, it starts CarMaker; otherwise a running CarMaker has to listen on
     its command port.
@@ -71,31 +71,34 @@ class CarMaker(Simulator):
     duration : float, default 60
         Maximum simulated time in s.
     on_collision : {"continue", "stop"}, default "continue"
-        Whether a recording ends with its first collision. CarMaker goes on, unless the TestRun says otherwise.
+        Whether a recording ends with its first collision. CarMaker itself goes on, unless the TestRun ends it.
     drivers : mapping, optional
         Must be empty: the TestRun defines CarMaker's driver.
     testrun : str
-        Name of the TestRun in the project's ``Data/TestRun``; ``{scenario}`` in it stands for the name of the scenario
-        file without its ending.
+        Name of the TestRun in the project's ``Data/TestRun``. In this name, ``{scenario}`` stands for the name of the
+        scenario file without its ending.
     project : str
-        Folder of the CarMaker project with the result files; several, separated by ``+``, are used by the workers in
-        turn. With ``cmapi`` each worker needs its own.
+        Folder of the CarMaker project with the result files. The workers use several folders, separated by ``+``, in
+        turn. With ``cmapi`` each worker needs a folder of its own.
     hosts : str, default "localhost"
-        Where ``CM.exe -cmdport`` runs: ``host`` or ``host:port``, several separated by ``+``, used in turn.
+        Host on which ``CM.exe -cmdport`` runs, as ``host`` or ``host:port``. The workers use several hosts, separated
+        by ``+``, in turn.
     port : int, default 16660
-        Port of the first worker; the next one on a host uses the next port, so that each has its own CarMaker.
+        Port of the first worker. Each further worker on the same host uses the next port, so that each worker has its
+        own CarMaker.
     worker : int, default 0
-        Number of this worker.
+        Number of this worker process, from 0 on.
     via : {"auto", "cmapi", "port"}, default "auto"
-        How CarMaker is controlled.
+        How CarMaker is controlled: by IPG's Python module or by the command port. ``auto`` uses the module if it can be
+        imported.
     speedup : float, default 1
-        Minimum factor by which CarMaker runs faster than real time; it determines the time-outs.
+        Minimum factor by which CarMaker runs faster than real time, from which the time-outs follow.
     licences : int, default 0
-        How many CarMakers may run at a time on this host, whatever the number of workers and searches of this user; 0
-        is without limit.
+        Maximum number of CarMakers that run at a time on this host, in all workers and searches of this user; 0 for no
+        limit.
     start : str, optional
-        Command that starts a CarMaker with a command port, in which ``{port}`` stands for its port. It is started
-        again after a crash, a hang or a fatal error. By default a CarMaker runs already.
+        Command that starts a CarMaker with a command port; ``{port}`` in the command stands for the port. CarMaker is
+        started again after a crash, a hang or a fatal error. By default a CarMaker must run already.
 
     Raises
     ------
@@ -178,7 +181,11 @@ class CarMaker(Simulator):
         )  # fmt: skip
 
     def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
-        """Run scenarios; also raises `InputError` if CarMaker does not listen, has no licence or lacks an entity."""
+        """Run scenarios.
+
+        Also raises `InputError` if CarMaker does not listen or has no licence, or if `check_supported` refuses the
+        scenario.
+        """
         for concrete in concretes:
             scenario = self._last_scenario = concrete.load_file(self._last_scenario)
             self.check_supported(scenario)
@@ -235,7 +242,10 @@ class CarMaker(Simulator):
         return self._api
 
     def _give_back_licence(self) -> None:
-        """Give the licence back unless a CarMaker that was started here keeps it and no other worker waits for it."""
+        """Give the licence back, unless a CarMaker that was started here runs on.
+
+        If another worker waits for a licence, that CarMaker is ended first.
+        """
         if self._licence.is_awaited():
             self._disconnect()
             if self._server is not None:
@@ -278,12 +288,12 @@ class CarMaker(Simulator):
         if files is None:
             self.notify(
                 [
-                    f"{self._project / 'Data' / 'TestRun' / testrun}: is not there, so that nobody checks whether the"
-                    f" TestRun uses {', '.join(scenario.parameters) or 'named values'}"
+                    f"{self._project / 'Data' / 'TestRun' / testrun}: does not exist, so cornercase cannot check"
+                    f" whether the TestRun uses {', '.join(scenario.parameters) or 'named values'}"
                 ]
             )
         else:
-            # What other parts of the scenario file use, such as boxes, need not be in the TestRun.
+            # Parameters that other parts of the scenario file use, such as boxes, need not be in the TestRun.
             _require_used(set(scenario.parameters) - _names_in_use(scenario), files, str(scenario.path))
             if files.trailer:
                 self.notify(
@@ -320,14 +330,18 @@ def _check_testrun(testrun: str, projects: Sequence[str]) -> None:
         raise InputError("CarMaker needs a TestRun: `simulator` carmaker:testrun=NAME,project=FOLDER.")
     for folder in projects:
         if not Path(folder).is_dir():
-            raise InputError(f"{folder}: there is no such folder; give that of the CarMaker project as project=DIR.")
+            raise InputError(
+                f"{folder}: there is no such folder; give the folder of the CarMaker project as project=DIR."
+            )
     _require_plain_name(testrun.replace(_SCENARIO, ""))
 
 
 def _require_plain_name(testrun: str) -> None:
-    """Refuse a name that CarMaker would take for a command."""
+    """Refuse the name of a TestRun if it has characters that CarMaker would execute as Tcl."""
     if any(sign in testrun for sign in _TCL_CHARACTERS):
-        raise InputError(f"The name of the TestRun '{testrun}' contains a special character of Tcl.")
+        raise InputError(
+            f"The name of the TestRun '{testrun}' contains a special character of Tcl; rename the TestRun."
+        )
 
 
 def _check_interface(via: str, duration: float, speedup: float) -> None:
@@ -345,7 +359,10 @@ def _check_interface(via: str, duration: float, speedup: float) -> None:
 
 
 def _names_in_use(scenario: ScenarioFile) -> set[str]:
-    """Return the names of parameters that what is read of the scenario file refers to."""
+    """Return the names of parameters that occur in the parts of a scenario file that are read for CarMaker.
+
+    For instance, boxes are read, but not the storyboard.
+    """
     names, elements = set[str](), [scenario.root]
     while elements:
         element = elements.pop()
@@ -355,7 +372,10 @@ def _names_in_use(scenario: ScenarioFile) -> set[str]:
 
 
 def _require_used(names: AbstractSet[str], files: TestRunFiles, owner: str) -> None:
-    """Refuse named values that a TestRun does not use; CarMaker would accept them silently."""
+    """Refuse named values that a TestRun does not use, since CarMaker would accept them silently.
+
+    `owner` says in the message where the named values come from.
+    """
     unused = sorted(names - files.named_values)
     if unused:
         written = f" (of CarMaker {files.version})" if files.version else ""
@@ -366,7 +386,10 @@ def _require_used(names: AbstractSet[str], files: TestRunFiles, owner: str) -> N
 
 
 def _output_quantities(entities: Sequence[str]) -> list[str]:
-    """Return what a result file needs of the entities; quantities that a version does not have are ignored."""
+    """Return the quantities that a result file must contain for the entities.
+
+    CarMaker ignores quantities that its version does not have.
+    """
     of_traffic = ("tx", "ty", "rz", "LongVel", "v_0.x", "v_0.y")
     return [
         *("Time", "Car.tx", "Car.ty", "Car.Yaw", "Car.v", "Sensor.Collision.Vhcl.Fr1.Count"),

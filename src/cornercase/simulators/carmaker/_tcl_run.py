@@ -1,4 +1,4 @@
-"""Run a TestRun by the Tcl command port of a running CarMaker, from the idle state to the new result file."""
+"""Runs of TestRuns through the Tcl command port of a running CarMaker."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ _MAX_REPLY_SIZE, _CONNECT_TIMEOUT = 1_000_000, 60.0
 
 
 class TclClient:
-    """Connection to a running CarMaker, which executes Tcl commands; `InputError` if none listens.
+    """Connection to a running CarMaker, which executes Tcl commands.
 
-    CarMaker answers each command: ``O`` and a value, or ``E`` and an error, followed by an empty line; or only an empty
-    line. An answer may arrive in several pieces.
+    CarMaker answers each command with ``O`` and a value, or with ``E`` and an error, followed by an empty line. Some
+    answers are only an empty line. An answer may arrive in several pieces. Raises `InputError` if no CarMaker listens.
     """
 
     def __init__(self, host: str, port: int) -> None:
@@ -53,7 +53,7 @@ class TclClient:
         self._received = b""
 
     def send(self, command: str, timeout: float) -> str:
-        """Send a Tcl command and return the value in the answer; waits up to `timeout` s."""
+        """Send a Tcl command, wait for the answer for up to `timeout` s, and return its value."""
         deadline = time.monotonic() + timeout
         # Discard the rest of an earlier answer.
         self._received = b""
@@ -95,11 +95,14 @@ class TclClient:
 
 
 class TclTestRun:
-    """Runs a TestRun, whose result file gets `quantities` besides those that CarMaker stores anyway.
+    """Runs of TestRuns on a running CarMaker, from the idle state to the new result file.
 
-    The name of the result file gets `suffix` if there is one, so that it is unlike those of other CarMakers.
-    `run_timeout` is the time limit of the run in s, `start_timeout` the limit for starting or stopping. CarMaker's
-    command `WaitForStatus` makes polling rare. Its answer may be late or an error, so only `SimStatus` counts.
+    `quantities`: names of quantities that result files get besides those that CarMaker stores anyway. `suffix`: text at
+    the end of the names of result files, by which they differ from those of other CarMakers. `run_timeout`: time limit
+    of a run in s. `start_timeout`: time limit for starting or stopping in s.
+
+    CarMaker's command `WaitForStatus` makes polling rare. Its answer may be late or an error, so only `SimStatus`
+    counts.
     """
 
     def __init__(
@@ -116,12 +119,12 @@ class TclTestRun:
         self._suffix = suffix
 
     def run_testrun(self, testrun: str, values: Mapping[str, Value]) -> Path:
-        """Run the TestRun with named values, and return the new result file."""
+        """Run a TestRun with named values, and return the new result file."""
         self._require_idle()
         before = ResultFileTracker(self._project)
         self._send(f'LoadTestRun "{testrun}"')
         if self._quantities:
-            # A version that does not know it stores what the project's list says; what is missing there is said later.
+            # A version without this command stores the project's own list; missing quantities are reported later.
             try:
                 self._send(f"OutQuantsAdd {{{' '.join(self._quantities)}}}")
             except SimulationError as error:
@@ -153,14 +156,14 @@ class TclTestRun:
         return self._client.send(command, self._start_timeout)
 
     def _require_idle(self) -> None:
-        """Stop whatever is running, and wait until CarMaker is idle, also after a fatal error (FailSafe)."""
+        """Stop a run that is active, and wait until CarMaker is idle, also after a fatal error (FailSafe)."""
         status = self._read_status(raises_if_fatal=False)
         if status == _IDLE:
             return
         status = self._stop_run()
         if status != _IDLE:
             raise SimulatorError(
-                f"CarMaker is not idle but {_describe_status(status)}, also {self._start_timeout:g} s after StopSim"
+                f"CarMaker is not idle but {_describe_status(status)}, even {self._start_timeout:g} s after StopSim"
             )
 
     def _stop_run(self) -> int:
@@ -169,7 +172,7 @@ class TclTestRun:
         return self._poll_status(lambda status: status == _IDLE, self._start_timeout, raises_if_fatal=False)
 
     def _wait_for_start(self, earlier_files: ResultFileTracker) -> None:
-        """Wait until the run has started; a short run may end before the first poll."""
+        """Wait until the run has started; a short run may already have ended at the first poll."""
         self._wait_for_state("running", self._start_timeout)
         status = self._poll_status(
             lambda now: (
@@ -220,7 +223,7 @@ class TclTestRun:
         )
 
     def _wait_for_state(self, state: str, seconds: float) -> None:
-        """Let CarMaker wait for a state, to make polling rare; poll the status afterwards in any case."""
+        """Let CarMaker wait for a state, which makes polling rare; the status must be polled afterwards."""
         try:
             self._client.send(f"WaitForStatus {state} {round(1000 * seconds)}", seconds + self._start_timeout)
         except SimulationError as error:
@@ -229,7 +232,7 @@ class TclTestRun:
                 raise
 
     def _poll_status(self, is_accepted: Callable[[int], bool], seconds: float, *, raises_if_fatal: bool = True) -> int:
-        """Poll the status until `is_accepted` accepts it, or for a number of seconds; return the last status."""
+        """Poll the status until `is_accepted` accepts it or the time in s is over; return the last status."""
         deadline = time.monotonic() + seconds
         while not is_accepted(status := self._read_status(raises_if_fatal)) and time.monotonic() < deadline:
             time.sleep(_POLL_INTERVAL)

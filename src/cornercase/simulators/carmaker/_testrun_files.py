@@ -1,4 +1,4 @@
-"""What the files of a TestRun say: named values that it uses, boxes, and the version of CarMaker that wrote it."""
+"""Content of the files of a TestRun: named values that it uses, boxes, and the version of CarMaker that wrote it."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ _OBJECT_TYPES: Final = {
 class TestRunFiles:
     """The TestRun in a project and the files in the project's ``Data`` that it names, such as the vehicle data set.
 
-    `path` is the TestRun's, `named_values` are those that are used anywhere, `boxes` those of ``Ego`` and of traffic
-    objects, as far as the files have them; `version` is that of CarMaker as it wrote the TestRun, or empty.
-    `trailer` is the data set of a trailer, or empty.
+    `path`: file of the TestRun. `named_values`: names of the named values that any of the files uses. `boxes`: boxes of
+    ``Ego`` and of traffic objects, if the files contain them. `version`: version of CarMaker that wrote the TestRun, or
+    empty. `trailer`: name of the data set of a trailer, or empty.
     """
 
     path: Path
@@ -43,7 +43,10 @@ class TestRunFiles:
 
 
 def read_testrun_files(project: Path, testrun: str) -> TestRunFiles | None:
-    """Read a TestRun; None if it is not in the project, as IPG's examples are not."""
+    """Read a TestRun and the files that it names; return None if the TestRun is not in the project.
+
+    For instance, IPG's examples are not in the project.
+    """
     data = project / "Data"
     path = data / "TestRun" / testrun
     if not path.is_file():
@@ -58,7 +61,7 @@ def read_testrun_files(project: Path, testrun: str) -> TestRunFiles | None:
         if file in seen:
             continue
         seen.add(file)
-        # Anything may be in Data; what is no text of a moderate size says nothing.
+        # Anything may be in Data; files that are too large or cannot be read are skipped.
         with suppress(InputError):
             others = _read_entries(file, _MAX_NAMED_FILE_SIZE)
             named |= _named_values(others)
@@ -72,7 +75,10 @@ def read_testrun_files(project: Path, testrun: str) -> TestRunFiles | None:
 
 
 def _read_entries(path: Path, max_size: int) -> dict[str, str]:
-    """Return the values of a file by key; a value of several lines follows a key with a colon, indented."""
+    """Return the values of a file of CarMaker by key.
+
+    A value of several lines is indented, and follows a line with its key and a colon. `max_size` is in bytes.
+    """
     entries, key = dict[str, str](), ""
     for line in _decode(read_file(path, max_size)).splitlines():
         if line.startswith("#") or not line.strip():
@@ -100,13 +106,13 @@ def _decode(content: bytes) -> str:
 
 
 def _named_values(entries: dict[str, str]) -> set[str]:
-    """Return the named values that any value uses; a description only mentions them."""
+    """Return the named values that any entry uses; the description, which only mentions them, is skipped."""
     values = (value for key, value in entries.items() if key != "Description")
     return {first or second for value in values for first, second in _NAMED_VALUE.findall(value)}
 
 
 def _named_files(data: Path, entries: dict[str, str]) -> list[Path]:
-    """Return the files below ``Data`` that values name, such as ``Vehicle = DemoCar``."""
+    """Return the files below ``Data`` that values name, as in ``Vehicle = DemoCar``."""
     names = {value for value in entries.values() if value and len(value) < 200 and "\n" not in value}
     files = []
     for folder in sorted(data.iterdir()):
@@ -120,7 +126,10 @@ def _named_files(data: Path, entries: dict[str, str]) -> list[Path]:
 
 
 def _vehicle_box(entries: dict[str, str]) -> dict[str, EntityBox]:
-    """Return the ego's box: its outer skin is from a corner at the rear to the opposite one at the front."""
+    """Return the ego's box from the outer skin of its vehicle; empty if there is none.
+
+    The outer skin is given by a corner at the rear and the opposite corner at the front.
+    """
     skin = _numbers(entries.get("Vehicle.OuterSkin", ""))
     if len(skin) != 6:
         return {}
@@ -141,7 +150,7 @@ def _traffic_boxes(entries: dict[str, str]) -> dict[str, EntityBox]:
 
 
 def _numbers(text: str) -> list[float]:
-    """Return the numbers in a value; none if there is anything else in it."""
+    """Return the numbers in a value; an empty list if the value contains anything else."""
     with suppress(ValueError):
         return [float(word) for word in text.split()]
     return []
