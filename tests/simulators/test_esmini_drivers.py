@@ -268,7 +268,7 @@ SWITCH = '<PrivateAction><ActivateControllerAction longitudinal="false"/></Priva
 def test_what_cannot_be_driven_is_refused_in_one_sentence(tmp_path):
     story = {
         "esmini cannot change who drives": story_of(event("e", SWITCH, time_trigger("1"))),
-        "without times only, and only from the start": story_of(
+        "only a trajectory without times, and only from the start": story_of(
             event("e", TRAJECTORY.format("<None/>"), time_trigger("1"))
         ),
     }
@@ -277,7 +277,7 @@ def test_what_cannot_be_driven_is_refused_in_one_sentence(tmp_path):
         for says, text in story.items()
     }
     on_trajectory = private("Ego", teleport("50"), speed_action("10"), TRAJECTORY)
-    files["which decides when it is where"] = scenario_file(
+    files["which decides the speed on the trajectory"] = scenario_file(
         tmp_path, init=on_trajectory.format(TIMING), name="timed.xosc"
     )
     files["target speed on a trajectory"] = scenario_file(

@@ -1,1 +1,1 @@
-"""esmini, through its library."""
+"""esmini as a simulator, through its library."""

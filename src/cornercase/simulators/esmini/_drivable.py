@@ -1,4 +1,4 @@
-"""What a driver of cornercase can drive in esmini."""
+"""Checks that a driver of cornercase can drive an entity in esmini."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _SELF_MADE_TRAFFIC: Final = ("TrafficSwarmAction", "TrafficSourceAction")
 
 
 def check_drivable(scenario: ScenarioFile, entity: str) -> None:
-    """Raise `InputError` if a driver cannot drive an entity as the storyboard asks for."""
+    """Raise `InputError` if a driver of cornercase cannot drive an entity as its storyboard demands."""
     scope, root = scenario.scope([{}]), scenario.root
     if not scenario.road_file_as_written():
         raise InputError(
@@ -25,7 +25,7 @@ def check_drivable(scenario: ScenarioFile, entity: str) -> None:
         )
     initial = find_initial_trajectory(scenario, entity)
     refused = [(tag, "esmini cannot change who drives while it runs") for tag in _CONTROLLER_ACTIONS] + [
-        ("FollowTrajectoryAction", "esmini lets it follow a trajectory without times only, and only from the start")
+        ("FollowTrajectoryAction", "esmini lets it follow only a trajectory without times, and only from the start")
     ]
     if initial is not None:
         refused += [(tag, "esmini does not let it change its target speed on a trajectory") for tag in _SPEED_ACTIONS]
@@ -34,7 +34,9 @@ def check_drivable(scenario: ScenarioFile, entity: str) -> None:
             raise scope.error_at(element, f"<{tag}>: '{entity}' has a driver, and {reason}; leave out one of them.")
     if initial is not None and (timing := initial.find("TimeReference/Timing")) is not None:
         raise scope.error_at(
-            timing, f"<Timing>: '{entity}' has a driver, which decides when it is where; give <None/>, or no driver."
+            timing,
+            f"<Timing>: '{entity}' has a driver, which decides the speed on the trajectory; replace it by <None/>, or"
+            " leave out the driver.",
         )
     for element in root.iter(*_SELF_MADE_TRAFFIC):
         raise scope.error_at(
@@ -45,12 +47,12 @@ def check_drivable(scenario: ScenarioFile, entity: str) -> None:
 
 
 def find_initial_trajectory(scenario: ScenarioFile, entity: str) -> etree._Element | None:
-    """Return the initial action with which an entity follows a trajectory; None without one."""
+    """Return the initial action by which an entity follows a trajectory; None without this action."""
     return next(_iter_initial_actions(scenario, entity, "FollowTrajectoryAction"), None)
 
 
 def has_initial_speed(scenario: ScenarioFile, entity: str) -> bool:
-    """Whether an initial action sets an entity's speed."""
+    """Return whether an initial action sets an entity's speed."""
     return next(_iter_initial_actions(scenario, entity, "LongitudinalAction"), None) is not None
 
 

@@ -45,7 +45,11 @@ def start_drivers(
     states: Mapping[str, ObjectState],
     time_step: float,
 ) -> list[DrivenEntity]:
-    """Start the drivers of a scenario that esmini has loaded, in the order of the file; raises `DriverError`."""
+    """Start the drivers of a scenario that esmini has loaded; return the driven entities in the order of the file.
+
+    `drivers`: drivers or their names, by entity. `states`: initial states in esmini, by entity. `time_step`: in s.
+    Raises `DriverError` if a driver fails.
+    """
     if not drivers:
         return []
     parameters, (values,) = split_off_driver_parameters(scenario, [values])
@@ -116,14 +120,16 @@ def _read_trajectory(
 
 
 class DrivenEntity:
-    """An entity in a run of esmini whose speed a driver decides, and whose pose, where it is steered.
+    """An entity in esmini whose speed a driver decides, and also its pose if the driver steers.
 
-    Otherwise esmini keeps it on its lane or trajectory.
+    If the driver does not steer, esmini keeps the entity on its lane or trajectory.
 
-    In each time step esmini is first told the speed at the end of the step, with which it moves the entity. If an
-    action of the storyboard then sets another speed, this is the new target speed, and the entity is moved on, or back,
-    to where it is with the speed that the driver has decided. `sets_speed`: whether an initial action sets the speed.
-    `was_moved`: whether the last step ended at another pose than the one for which esmini has looked for collisions.
+    In each time step, esmini first gets the driver's speed at the end of the step, and moves the entity with this
+    speed. If an action of the storyboard then sets another speed, it becomes the new target speed. The entity is then
+    moved to the position that it reaches with the driver's speed.
+
+    `sets_speed`: whether an initial action sets the speed. `was_moved`: whether the entity was moved in the last step
+    after esmini looked for collisions.
     """
 
     def __init__(
@@ -153,23 +159,24 @@ class DrivenEntity:
 
     @property
     def limit_notices(self) -> Mapping[str, str]:
-        """A sentence without full stop for each limit of the vehicle that the driver exceeded."""
+        """Sentences without full stop, one for each limit of the vehicle that the driver exceeded."""
         return self._attached_driver.limit_notices
 
     def start(self, start: Start) -> None:
-        """Begin a run; raises `DriverError`."""
+        """Start the driver at the beginning of a run; raise `DriverError` if the driver fails."""
         self._attached_driver.start(start)
 
     def release(self) -> None:
-        """Release what the driver holds at the end of a run."""
+        """Release the resources of the driver at the end of a run."""
         self._attached_driver.release()
 
     def decide(
         self, states: Mapping[str, ObjectState], speeds: dict[str, float], time: float
     ) -> SimulationError | None:
-        """Let the driver decide the speed at the end of the coming step; return the failure if it cannot.
+        """Let the driver decide the speed at the end of the coming step; return the error if the driver fails.
 
-        `speeds` has the speeds that drivers have already decided for this step.
+        `states`: states of all entities, by name. `speeds`: speeds in m/s that drivers have decided for this step, by
+        name; the new speed is added. `time`: in s.
         """
         state = states.get(self.name)
         self._speed = self._pose = None
@@ -202,7 +209,10 @@ class DrivenEntity:
         return None
 
     def check_step(self) -> None:
-        """Raise the exception that occurred while esmini made the step, if any."""
+        """Raise the exception that occurred while esmini made the step, if any.
+
+        Also raises `InputError` if esmini has not reported that it has moved the entity.
+        """
         if self._error is not None:
             raise self._error
         if self._speed is not None and not self._has_moved:
@@ -212,7 +222,7 @@ class DrivenEntity:
             )
 
     def _after_move(self, state: ObjectState) -> None:
-        """Correct the motion that esmini has just computed, before it derives velocities from it."""
+        """Correct the motion that esmini has just computed, before esmini derives velocities from it."""
         try:
             self._has_moved = True
             if self._speed is not None:

@@ -23,15 +23,15 @@ _SEAM_OFFSET: Final = 0.5
 _MAX_STEP_BACK: Final = 5.0
 # Distance in m from the end of a road or a trajectory at which an entity has reached it.
 _END_TOLERANCE: Final = 1e-3
-# m; no run goes farther along a trajectory.
+# Length in m up to which a trajectory is sampled; no run goes farther.
 _REACH: Final = 20_000.0
 _ONE_ROW: Final = np.zeros(1, dtype=np.int64)
 
 
 class FollowedPath:
-    """The path along the trajectory that an entity follows from the start, then along the lane that it is on.
+    """The path that an entity follows: first its initial trajectory, if any, then the lane that it is on.
 
-    `path` is None where there is no lane. `distance` is the entity's position along it in m.
+    `path` is None if there is no lane. `distance` is the entity's position along the path in m.
     """
 
     def __init__(self, lib: ctypes.CDLL, network: RoadNetwork, trajectory: Trajectory | None) -> None:
@@ -43,12 +43,12 @@ class FollowedPath:
 
     @property
     def is_at_road_end(self) -> bool:
-        """Whether the entity has reached the end of its road."""
+        """True if the entity has reached the end of its road."""
         track = self._track
         return isinstance(track, LaneTrack) and track.path.has_end and self.distance >= track.length - _END_TOLERANCE
 
     def update(self, state: ObjectState) -> None:
-        """Find the entity on its path, or the path along the lane that it is on now."""
+        """Locate the entity on its path, or find a new path along its lane if the entity has left its path."""
         track, route = self._track, read_route(self._lib, state.id)
         if isinstance(track, Trajectory):
             self._find_on(track, state)
@@ -65,7 +65,7 @@ class FollowedPath:
         self._follow_lane(road, state, route)
 
     def move(self, state: ObjectState, step: float) -> None:
-        """Let esmini move the entity by `step` m along its lane from where it is."""
+        """Let esmini move the entity by `step` m along its lane; does nothing on a trajectory."""
         track = self._track
         if not isinstance(track, LaneTrack):
             return

@@ -69,7 +69,10 @@ _RECEIVER_CALLBACK: Final = _OBJECT_CALLBACK(_call_receiver)
 
 
 def call_after_moves(lib: ctypes.CDLL, object_id: int, receiver: Callable[[ObjectState], None]) -> None:
-    """Let esmini call `receiver` in each step of this run, once it has moved an object; it must not raise."""
+    """Let esmini call `receiver` in each step of this run, after esmini has moved an object.
+
+    The receiver gets the state of the object. It must not raise an exception.
+    """
     _RECEIVERS[object_id] = receiver
     # esmini wants a function in each run, and calls all functions of earlier runs, too: let the later ones do nothing.
     key = lib._handle, object_id
@@ -79,7 +82,7 @@ def call_after_moves(lib: ctypes.CDLL, object_id: int, receiver: Callable[[Objec
 
 
 def find_library_path(library: str | None) -> Path:
-    """Return the path of esmini's library: `library`, else the environment variable ``CORNERCASE_ESMINI``."""
+    """Return the path of esmini's library: `library`, or else the path in the variable ``CORNERCASE_ESMINI``."""
     text = library or os.environ.get(LIBRARY_VARIABLE, "")
     if not text:
         raise InputError(NOT_FOUND_MESSAGE)
@@ -136,10 +139,10 @@ def load_library(path: Path) -> ctypes.CDLL:
 
 
 def read_versions(path: Path) -> Mapping[str, str]:
-    """Return version, revision and build of esmini's library, empty where it has none, and its checksum.
+    """Return version, revision and build of esmini's library (empty if unknown), and its checksum.
 
-    esmini's interface has no function for them. A library that was built outside of a Git repository has none, and on
-    Windows it does not export the variables.
+    esmini's interface has no function for the versions, so they are read from variables of the library. A library that
+    was built outside of a Git repository does not contain them, and on Windows a library does not export them.
     """
     versions = dict.fromkeys(_VERSION_VARIABLES, "")
     try:
@@ -165,12 +168,12 @@ def read_state(lib: ctypes.CDLL, object_id: int) -> ObjectState:
 
 
 def read_road_name(lib: ctypes.CDLL, road: int) -> str:
-    """Read the id that the road file gives a road of esmini."""
+    """Return the id in the road file of a road that has the number `road` in esmini."""
     return (lib.SE_GetRoadIdString(road) or b"").decode("utf-8", "replace")
 
 
 def read_route(lib: ctypes.CDLL, object_id: int) -> tuple[tuple[str, int, float], ...]:
-    """Read the waypoints of an object's route, as road id, lane and s in m; empty without a route."""
+    """Return the waypoints of an object's route, as road id, lane and s in m; empty without a route."""
     points, point = list[tuple[str, int, float]](), RoutePoint()
     for k in range(max(lib.SE_GetNumberOfRoutePoints(object_id), 0)):
         if lib.SE_GetRoutePoint(object_id, k, ctypes.byref(point)) == 0:
@@ -179,7 +182,7 @@ def read_route(lib: ctypes.CDLL, object_id: int) -> tuple[tuple[str, int, float]
 
 
 def check_layout(lib: ctypes.CDLL, object_id: int) -> None:
-    """Raise `InputError` if the library's object states have an unexpected memory layout."""
+    """Raise `InputError` if the library does not store object states in the memory layout of esmini 3.6."""
     size = ctypes.sizeof(ObjectState)
     buffer = (ctypes.c_ubyte * (2 * size)).from_buffer_copy(bytes([_FILL_BYTE]) * (2 * size))
     if lib.SE_GetObjectState(object_id, ctypes.addressof(buffer)) != 0:
@@ -189,11 +192,11 @@ def check_layout(lib: ctypes.CDLL, object_id: int) -> None:
     is_shorter = written[size - 8 : size - 4] == bytes([_FILL_BYTE]) * 4
     is_longer = written[size:] != bytes([_FILL_BYTE]) * size
     if is_shorter or is_longer or ObjectState.from_buffer_copy(written[:size]).id != object_id:
-        raise InputError("esmini's library has another layout than that of esmini 3.6; use esmini 3.6.")
+        raise InputError("esmini's library stores object states in another layout than esmini 3.6; use esmini 3.6.")
 
 
 def set_parameter(lib: ctypes.CDLL, name: str, value: Value, parameter_type: str) -> int:
-    """Set a scenario parameter of the declared type `parameter_type`; returns 0 if esmini accepts the value."""
+    """Set a scenario parameter of the declared type `parameter_type`; return 0 if esmini accepts the value."""
     key = name.encode()
     if parameter_type == "double":
         return int(lib.SE_SetParameterDouble(key, float(value)))

@@ -1,4 +1,4 @@
-"""esmini, through its library."""
+"""esmini as a simulator, through its library."""
 
 from __future__ import annotations
 
@@ -45,25 +45,27 @@ _VEHICLE_TYPE, _PEDESTRIAN_TYPE = 1, 2
 
 
 class Esmini(Simulator):
-    """Runs concrete scenarios with esmini, one at a time per process.
+    """Simulator that runs concrete scenarios with esmini, one at a time per process.
 
     Parameters
     ----------
     time_step : float, default 0.05
-        In s.
+        Time step in s.
     duration : float, default 60
         Maximum duration of a scenario in s.
     on_collision : {"continue", "stop"}, default "continue"
-        Collisions are those that esmini detects.
+        Whether the first collision of two entities ends the run. esmini detects collisions.
     drivers : mapping of str to str, Driver or Behaviour, optional
-        Driver of each entity, as for the builtin simulator; it decides the entity's speed, and esmini does the rest.
+        Driver of each entity, as for the builtin simulator. The driver decides the entity's speed, and esmini does the
+        rest.
     seed : int, default 0
+        Seed of esmini.
     controllers : bool, default True
         Whether esmini's controllers drive the entities that have one; otherwise all follow the storyboard.
     undriven : bool, default False
-        Whether entities run without the drivers that the scenario file names for them.
+        Whether the drivers that the scenario file names for entities are left out.
     library : str, optional
-        Path of esmini's library; default: that in the environment variable ``CORNERCASE_ESMINI``.
+        Path of esmini's library. Default: the path in the environment variable ``CORNERCASE_ESMINI``.
 
     Raises
     ------
@@ -129,7 +131,7 @@ class Esmini(Simulator):
         return Availability("", missing, abilities)
 
     def component_versions(self) -> Mapping[str, str]:
-        """Return what esmini's library says of itself, and its checksum; empty where it says nothing."""
+        """Return the versions in esmini's library, empty if it does not contain them, and its checksum."""
         return read_versions(find_library_path(self._library_path))
 
     def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
@@ -148,7 +150,7 @@ class Esmini(Simulator):
                 self._library.SE_Close()
 
     def check_supported(self, scenario: ScenarioFile) -> None:
-        """Refuse left-handed axes, a road file that esmini does not find, or what a driver cannot drive in esmini."""
+        """Refuse left-handed axes, a road file that esmini does not find, or an entity that its driver cannot drive."""
         if scenario.is_left_handed:
             raise InputError(
                 f"{scenario.path}: its description begins with 'CARLA:', so its axes are left-handed, which esmini does"
@@ -170,7 +172,7 @@ class Esmini(Simulator):
             check_drivable(scenario, entity)
 
     def check_runnable(self, concretes: Sequence[ConcreteScenario]) -> None:
-        """Refuse parameters of drivers that do not drive here."""
+        """Refuse parameters of drivers that the option `undriven` leaves out."""
         for concrete in concretes:
             self._require_known_parameters(concrete.load_file(), concrete.values)
 
@@ -180,7 +182,7 @@ class Esmini(Simulator):
             if entity not in driving:
                 raise InputError(
                     f"{scenario.path}: {next(iter(names.values()))} is a parameter of {entity}'s driver in the file,"
-                    " which esmini:undriven=true leaves out; leave out one of them."
+                    " which esmini:undriven=true leaves out; leave out the parameter or this option."
                 )
 
     def _drivers_of(self, scenario: ScenarioFile) -> dict[str, str | Driver]:
@@ -190,7 +192,7 @@ class Esmini(Simulator):
         self, lib: ctypes.CDLL, scenario: ScenarioFile, concrete: ConcreteScenario
     ) -> Recording | SimulationError:
         values = concrete.values
-        # Those of drivers are none of esmini's.
+        # esmini does not know the parameters of drivers.
         own = {name: value for name, value in values.items() if name not in scenario.driver_parameters(values)}
         parameter_types = {
             e.get("name", ""): e.get("parameterType", "")
@@ -238,7 +240,7 @@ class Esmini(Simulator):
     def _step(
         self, lib: ctypes.CDLL, scenario: ScenarioFile, log: _StateLog, collides: bool, driven: Sequence[DrivenEntity]
     ) -> Recording | SimulationError:
-        """Step a scenario from its first state, which is recorded, to its end, and return its recording."""
+        """Simulate a scenario from its first state, which is recorded already, to its end; return its recording."""
         steps = round(self._duration / self._time_step)
         cut_off = False
         for step in range(steps + 1):
@@ -262,7 +264,7 @@ class Esmini(Simulator):
 
 
 class _StateLog:
-    """Records the state of all entities at each time step; `states` are the last ones, by name."""
+    """Log of the states of all entities at each time step; `states` has the latest states, by name."""
 
     def __init__(self, lib: ctypes.CDLL) -> None:
         self._lib = lib
@@ -273,9 +275,9 @@ class _StateLog:
         self._collisions: dict[tuple[str, str], float] = {}
 
     def record_state(self, time: float, moved: Set[str] = frozenset()) -> bool:
-        """Record the current state; return whether a collision has begun.
+        """Record the current state of all entities at a time in s; return whether a collision has begun.
 
-        `moved`: entities that have been moved since esmini has looked for collisions.
+        `moved`: entities that were moved after esmini looked for collisions.
         """
         lib, row, names = self._lib, {}, {}
         ids = [lib.SE_GetId(k) for k in range(lib.SE_GetNumberOfObjects())]
@@ -302,7 +304,7 @@ class _StateLog:
         return bool(new_pairs)
 
     def _find_overlaps(self, moved: Set[str]) -> set[tuple[str, str]]:
-        """Return the pairs whose boxes overlap now, with at least one of the `moved` entities."""
+        """Return the pairs of entities whose boxes overlap now, with at least one entity in `moved`."""
         corners = {}
         for name, state in self.states.items():
             x = state.x + state.center_x * math.cos(state.h) - state.center_y * math.sin(state.h)
@@ -312,7 +314,7 @@ class _StateLog:
         return {(a, b) for a, b in pairs if moved & {a, b} and boxes_overlap(corners[a], corners[b])}
 
     def make_recording(self, time_step: float, cut_off: bool) -> Recording | SimulationError:
-        """Create a recording of the recorded states; an error if no entity was ever present."""
+        """Create a recording from the recorded states; return an error if no entity was ever present."""
         if not self._boxes:
             return SimulationError("no entity is ever placed on the map")
         missing = (np.nan,) * 4
