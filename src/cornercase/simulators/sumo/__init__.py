@@ -1,1 +1,1 @@
-"""SUMO, which drives the ego."""
+"""SUMO as a simulator, whose models can drive vehicles."""

@@ -1,4 +1,4 @@
-"""Couple a simulation in SUMO with a storyboard, step by step."""
+"""Coupling of a simulation in SUMO with a storyboard, step by step."""
 
 from __future__ import annotations
 
@@ -54,8 +54,8 @@ _REMOTE_OFFSET: Final = 1e5
 class SumoCoupling:
     """A run of SUMO that is coupled with a storyboard; a process can have only one.
 
-    `types` are the vehicle types of the entities that SUMO drives. SUMO sees all other entities. `error` is the reason
-    if SUMO has failed, else None.
+    `types`: vehicle types of the entities that SUMO drives, by entity. SUMO sees all other entities, too. `error`:
+    reason if SUMO has failed, else None.
     """
 
     def __init__(self, network: Path, types: Mapping[str, str], time_step: float, seed: int) -> None:
@@ -88,11 +88,11 @@ class SumoCoupling:
         self._folder.cleanup()
 
     def step(self, world: World, dt: float) -> None:
-        """Advance SUMO by a time step.
+        """Advance SUMO by a time step `dt` in s.
 
-        SUMO first gets the positions of the other entities at the end of the step. After the step, the entities that
-        SUMO drives are moved in `world`, which must hold a single scenario. With `dt` 0, entities are only added to
-        SUMO.
+        SUMO first gets the positions that the other entities have at the end of the step. After the step, the entities
+        that SUMO drives are moved in `world`, which must hold a single scenario. If `dt` is 0, entities are only added
+        to SUMO.
         """
         if self.error is not None or not world.running[0]:
             return
@@ -152,7 +152,10 @@ class SumoCoupling:
         return name
 
     def _route_ends(self, world: World, e: int) -> tuple[tuple[str, float, int], tuple[str, float, int]]:
-        """Return where an entity's front is, and where its route ends; each as (edge, position, lane)."""
+        """Return the start and the end of an entity's route, each as edge, position in m and lane.
+
+        The route starts at the front of the entity.
+        """
         x, y = self._front_position(world, e)
         begin = self._sumo.simulation.convertRoad(x, y)
         track = self._lane_track_of(world, e)

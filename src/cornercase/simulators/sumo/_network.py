@@ -1,4 +1,4 @@
-"""Get SUMO's road network for a scenario."""
+"""SUMO's road network of a scenario, converted from OpenDRIVE if necessary."""
 
 from __future__ import annotations
 
@@ -24,7 +24,10 @@ _CONVERSION_TIMEOUT: Final = 120.0
 def find_or_convert_network(
     scenario: ScenarioFile, network_file: str | None = None, values: Mapping[str, Value] | None = None
 ) -> Path:
-    """Return a scenario's SUMO network: `network_file`, else converted from OpenDRIVE and cached by its checksum."""
+    """Return a scenario's SUMO network: `network_file`, or else a network converted from OpenDRIVE.
+
+    The converted network is cached by the checksum of the OpenDRIVE file.
+    """
     if network_file is not None:
         if not Path(network_file).is_file():
             raise InputError(f"{network_file}: there is no such network file; give a .net.xml.")

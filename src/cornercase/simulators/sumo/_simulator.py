@@ -1,4 +1,4 @@
-"""Eclipse SUMO: SUMO drives the ego, the builtin storyboard moves all other entities."""
+"""Eclipse SUMO as a simulator: SUMO drives some entities, and the builtin storyboard moves all other entities."""
 
 from __future__ import annotations
 
@@ -30,23 +30,23 @@ from cornercase.simulators.sumo._network import find_or_convert_network
 
 
 class Sumo(Simulator):
-    """Runs concrete scenarios in which SUMO's car-following and junction models drive.
+    """Simulator that runs concrete scenarios in which SUMO's car-following and junction models drive vehicles.
 
-    SUMO drives entities with the driver ``cautious``, ``normal`` or ``aggressive``, as a vehicle type of that name. The
-    builtin storyboard moves all others as in the builtin simulator, and SUMO sees them: vehicles that follow their lane
-    as traffic on its route, others where they are on the road. So whatever the builtin simulator runs can be run here,
-    but a vehicle that SUMO drives follows its lane and ignores trajectories.
+    SUMO drives entities with the driver ``cautious``, ``normal`` or ``aggressive``, as a vehicle type of that name. All
+    other entities move as in the builtin simulator, and SUMO sees them: a vehicle that follows its lane as traffic on a
+    route, any other entity at its position on the road. So all scenarios of the builtin simulator can run here, but a
+    vehicle that SUMO drives follows its lane and ignores trajectories.
 
     Parameters
     ----------
     time_step : float, default 0.05
-        In s.
+        Time step in s.
     duration : float, default 60
         Maximum duration of a scenario in s.
     on_collision : {"continue", "stop"}, default "continue"
-        As for the builtin simulator: overlapping boxes collide.
+        Whether the first collision ends the run. As in the builtin simulator, entities collide if their boxes overlap.
     drivers : mapping of str to str, SystemUnderTest or Driver, optional
-        By entity: a vehicle type of SUMO, or a driver of cornercase.
+        Vehicle type of SUMO or driver of cornercase, by entity.
     seed : int, default 0
         Seed of SUMO. It has no effect with the built-in vehicle types, which are deterministic.
     network : str, optional
@@ -117,7 +117,7 @@ class Sumo(Simulator):
 
     @classmethod
     def own_agents(cls) -> Mapping[str, Mapping[str, object]]:
-        """Return SUMO's car-following models."""
+        """Return the options for each car-following model of SUMO, by model."""
         return {f"SUMO's model '{name}'": {"drivers": {"Ego": name}} for name in VEHICLE_TYPES}
 
     def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
@@ -172,11 +172,11 @@ class Sumo(Simulator):
         )
 
     def check_supported(self, scenario: ScenarioFile) -> None:
-        """Refuse a scenario with an unknown driver, or with equipment that SUMO's own models lack."""
+        """Refuse a scenario with an unknown driver, or with a sensor or vehicle for one of SUMO's own models."""
         self._types_of_sumo_driven(scenario)
 
     def check_runnable(self, concretes: Sequence[ConcreteScenario]) -> None:
-        """Refuse parameters of drivers that do not drive here."""
+        """Refuse driver parameters of entities that SUMO itself drives."""
         for concrete in concretes:
             scenario = concrete.load_file()
             self._require_known_parameters(scenario, self._types_of_sumo_driven(scenario), concrete.values)
@@ -192,7 +192,7 @@ class Sumo(Simulator):
                 )
 
     def _types_of_sumo_driven(self, scenario: ScenarioFile) -> dict[str, str]:
-        """Return the vehicle types of the entities that SUMO drives."""
+        """Return the vehicle type of each entity that SUMO drives; refuse unknown drivers."""
         all_drivers = {**scenario.drivers, **self._drivers}
         for name, driver in all_drivers.items():
             if not isinstance(driver, str):
