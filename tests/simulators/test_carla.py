@@ -31,6 +31,7 @@ from cornercase.simulators import Carla
 from cornercase.simulators._server_addresses import worker_address
 from cornercase.simulators.carla import _dialect as dialect
 from cornercase.simulators.carla._openscenario_1_0 import ConversionOptions, write_openscenario_1_0
+from cornercase.simulators.carla._runner_environment import RunnerEnvironment
 from cornercase.simulators.pool._simulator import WorkerSimulator
 from cornercase.study import StudyFile
 from helpers.carla_or_stand_in import AGAIN_IF_THE_CLIENT_CRASHES, REAL, Served, free_port
@@ -313,6 +314,16 @@ def test_a_scenario_runner_of_another_version_is_said_and_tried_if_wished(scenar
             run(server, scenario, scenario_runner=str(runner))
         found = run(server, scenario, {"end": 0.5}, scenario_runner=str(runner), any_version=True)
     assert isinstance(found, Recording)
+
+
+@pytest.mark.parametrize(
+    ("client", "release"), [("0.9.9", "0.9.13"), ("0.9.14", "0.9.13"), ("0.9.15", "0.9.15"), ("0.9.17", "0.9.16")]
+)
+def test_the_latest_scenario_runner_up_to_the_clients_version_is_advised(client, release, tmp_path):
+    (tmp_path / "Docs").mkdir()
+    (tmp_path / "Docs" / "CHANGELOG.md").write_text("## CARLA ScenarioRunner 0.9.12\n")
+    with pytest.raises(InputError, match=f"ScenarioRunner 0.9.12 does not fit CARLA {client}; get {release} "):
+        RunnerEnvironment(tmp_path, "python", "").check_versions(client, client, "localhost:2000")
 
 
 def test_a_python_without_carlas_client_is_said(tmp_path, monkeypatch):

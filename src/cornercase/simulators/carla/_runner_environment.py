@@ -85,13 +85,16 @@ class RunnerEnvironment:
                 f" {client}, or get the other client by `{self.python} -m pip install carla=={server}`{any_version}"
             )
         if self.version not in ("", client):
-            release = (
-                client if client in VERSIONS else max(other for other in VERSIONS if other <= max(client, "0.9.13"))
-            )
+            release = max((other for other in VERSIONS if _key(other) <= _key(client)), key=_key, default=VERSIONS[0])
             raise InputError(
                 f"{self.folder}: ScenarioRunner {self.version} does not fit CARLA {client}; get {release}"
                 f" {describe_download(release)}{any_version}"
             )
+
+
+def _key(version: str) -> list[int]:
+    """Return a key by which versions are sorted."""
+    return [int(number) for number in re.findall(r"\d+", version)]
 
 
 def _find_scenario_runner_folder(explicit_folder: str) -> Path:
