@@ -22,12 +22,12 @@ _QUANTITIES = ("missed", "interval", "audited-missed", *_SIZED_QUANTITIES)
 class StopRule:
     """Rule that says when an exploration ends; the functions of `cornercase.stop` make rules.
 
-    Its `repr` is an expression that makes the rule again, and its `str` a text that can be given instead. Rules are
-    compared by value. A sequence combines them: all rules about the critical set must hold, and each of `seconds` and
-    `no_improvement` ends the exploration by itself.
+    The `repr` of a rule is an expression that makes the rule again. The `str` of a rule is a text that can be given
+    instead. Rules are compared by value. Several rules are given as a sequence: an exploration ends when all rules
+    about the critical set hold. A rule of `seconds` or `no_improvement` ends the exploration by itself.
 
-    There are no rules of other classes, also none derived from this one. For a rule of your own, call `explore` in a
-    loop with a growing `budget`, and end the loop yourself.
+    Rules of your own classes are not accepted. To end an exploration by another rule, call `explore` in a loop with a
+    growing `budget`, and end the loop yourself.
 
     Examples
     --------
@@ -39,10 +39,10 @@ class StopRule:
 
 @dataclass(frozen=True, repr=False)
 class StopCriterion(StopRule):
-    """Upper bound on a quantity of a `CriticalSet`.
+    """Stop rule that holds when a quantity of a `CriticalSet`, such as ``"missed"``, is below `bound`.
 
-    `size` is the smallest region that counts, as a fraction of the space. `confidence` is the probability with which
-    less than `bound` is missed. Raises `InputError` if one of them is not a fraction.
+    `size` is the smallest region that counts, as a fraction of the space. `confidence` is the probability that less
+    than `bound` is missed. Raises `InputError` if a number is not above 0 and up to 1.
     """
 
     quantity: str
@@ -84,7 +84,7 @@ class StopCriterion(StopRule):
         return f"{self.quantity.replace('-', '_')}({self.bound}{argument})"
 
     def evaluate(self, critical_set: CriticalSet) -> float:
-        """Value of the quantity, from 0 to 1; 1 if the value is unknown."""
+        """Return the value of the quantity, from 0 to 1; 1 if the value is unknown."""
         if self.quantity == "missed":
             return critical_set.missed_upper_bound(self.confidence)
         if self.quantity == "audited-missed":
@@ -102,7 +102,7 @@ class StopCriterion(StopRule):
         )
 
     def describe_value(self, value: float) -> str:
-        """Describe the value that was reached."""
+        """Describe a value of the quantity, as in ``"the critical share is known within 3.00%"``."""
         if self.quantity == "missed":
             probability = (
                 "" if self.confidence == DEFAULT_CONFIDENCE else f"with a probability of {self.confidence:g}, "
@@ -119,7 +119,7 @@ class StopCriterion(StopRule):
 
 @dataclass(frozen=True, repr=False)
 class TimeLimit(StopRule):
-    """Rule that no new round starts after `seconds`."""
+    """Stop rule by which no new round of scenarios starts after an exploration has run for `seconds` s."""
 
     seconds: float
 
@@ -132,7 +132,7 @@ class TimeLimit(StopRule):
 
 @dataclass(frozen=True, repr=False)
 class NoImprovement(StopRule):
-    """Rule that the exploration ends after `rounds` rounds in a row without an improvement.
+    """Stop rule that ends an exploration after `rounds` rounds in a row without an improvement.
 
     An improvement is a score at least as critical as the best so far.
     """
@@ -147,16 +147,16 @@ class NoImprovement(StopRule):
 
 
 def missed(bound: float, confidence: float = DEFAULT_CONFIDENCE) -> StopRule:
-    """Stop when less than a fraction of the critical set is missed.
+    """Stop when less than `bound` of the critical set (all critical scenarios of the space) is missed.
 
     Parameters
     ----------
     bound : float
-        Above 0, up to 1. It is compared with the fraction of the critical set that is missed at most, which may include
-        one region to which no score points.
+        Above 0, up to 1. The bound is compared with an upper limit of the missed fraction of the critical set. This
+        limit allows for one critical region to which no score points.
     confidence : float, default 0.95
-        Probability with which at most that is missed, above 0 and up to 1. A lower one ends a search earlier, and more
-        often too early.
+        Probability that no more than the upper limit is missed, above 0 and up to 1. With a lower value, a search ends
+        earlier, and more often too early.
 
     Returns
     -------
@@ -165,7 +165,7 @@ def missed(bound: float, confidence: float = DEFAULT_CONFIDENCE) -> StopRule:
     Raises
     ------
     InputError
-        `bound` or `confidence` is no fraction.
+        `bound` or `confidence` is not above 0 and up to 1.
 
     Examples
     --------
@@ -179,12 +179,12 @@ def missed(bound: float, confidence: float = DEFAULT_CONFIDENCE) -> StopRule:
 
 
 def interval(bound: float) -> StopRule:
-    """Stop when the critical fraction of the space is known well enough.
+    """Stop when the critical fraction of the space is known accurately enough.
 
     Parameters
     ----------
     bound : float
-        Above 0, up to 1. It is compared with the width of the 90 % interval of the critical fraction.
+        Above 0, up to 1. The bound is compared with the width of the 90 % interval of the critical fraction.
 
     Returns
     -------
@@ -193,7 +193,7 @@ def interval(bound: float) -> StopRule:
     Raises
     ------
     InputError
-        `bound` is no fraction.
+        `bound` is not above 0 and up to 1.
 
     Examples
     --------
@@ -212,7 +212,7 @@ def overlooked(bound: float, size: float = MIN_REGION_FRACTION) -> StopRule:
     Parameters
     ----------
     bound : float
-        Above 0, up to 1. It is compared with the probability that there is such a region.
+        Above 0, up to 1. The bound is compared with the probability that such a region exists.
     size : float, default 0.01
         Smallest region that counts, as a fraction of the space.
 
@@ -223,7 +223,7 @@ def overlooked(bound: float, size: float = MIN_REGION_FRACTION) -> StopRule:
     Raises
     ------
     InputError
-        `bound` or `size` is no fraction.
+        `bound` or `size` is not above 0 and up to 1.
 
     Examples
     --------
@@ -242,9 +242,9 @@ def unvisited(bound: float, size: float = MIN_REGION_FRACTION) -> StopRule:
     Parameters
     ----------
     bound : float
-        Above 0, up to 1. It is compared with the fraction of the space around which nothing was run.
+        Above 0, up to 1. The bound is compared with the fraction of points in whose surroundings no scenario was run.
     size : float, default 0.01
-        Size of the region around a point, as a fraction of the space.
+        Size of the surroundings of a point, as a fraction of the space.
 
     Returns
     -------
@@ -253,7 +253,7 @@ def unvisited(bound: float, size: float = MIN_REGION_FRACTION) -> StopRule:
     Raises
     ------
     InputError
-        `bound` or `size` is no fraction.
+        `bound` or `size` is not above 0 and up to 1.
 
     Examples
     --------
@@ -267,13 +267,13 @@ def unvisited(bound: float, size: float = MIN_REGION_FRACTION) -> StopRule:
 
 
 def audited_missed(bound: float) -> StopRule:
-    """Stop when the audits show that less than a fraction of the critical set is missed.
+    """Stop when audits (scenarios drawn at random as a check) show that little of the critical set is missed.
 
     Parameters
     ----------
     bound : float
-        Above 0, up to 1. It is compared with the upper bound of the missed fraction by the audits, so the exploration
-        has to have audits.
+        Above 0, up to 1. The bound is compared with an upper limit of the missed fraction of the critical set. This
+        limit is computed from audits, so the exploration needs audits.
 
     Returns
     -------
@@ -282,7 +282,7 @@ def audited_missed(bound: float) -> StopRule:
     Raises
     ------
     InputError
-        `bound` is no fraction.
+        `bound` is not above 0 and up to 1.
 
     Examples
     --------
@@ -301,7 +301,7 @@ def seconds(limit: float) -> StopRule:
     Parameters
     ----------
     limit : float
-        In s.
+        Time in s.
 
     Returns
     -------
@@ -324,12 +324,12 @@ def seconds(limit: float) -> StopRule:
 
 
 def no_improvement(rounds: int) -> StopRule:
-    """Stop after rounds without a score that is at least as critical as the best so far.
+    """Stop after several rounds in a row in which no score is at least as critical as the best score so far.
 
     Parameters
     ----------
     rounds : int
-        Number of rounds in a row; without rounds, of scenarios.
+        Number of rounds in a row. In an exploration without rounds, it is a number of scenarios.
 
     Returns
     -------
@@ -354,11 +354,11 @@ def no_improvement(rounds: int) -> StopRule:
 def resolve_stop_rules(rules: object) -> tuple[list[StopCriterion], float | None, int | None]:
     """Split rules into criteria that must all hold, a time limit in s, and a number of rounds without improvement.
 
-    A rule may be its text. Of several time limits the smallest counts, and so for numbers of rounds;
-    where no rule gives one, it is None. Raises `InputError` for what is no rule.
+    A rule may be given as text. The smallest of several time limits counts, and the smallest of several numbers of
+    rounds. Both are None if no rule gives them. Raises `InputError` for a value that is not a rule.
     """
-    several = rules if isinstance(rules, Sequence) and not isinstance(rules, str) else [rules]
-    resolved = [_parse_rule(rule) if isinstance(rule, str) else rule for rule in several]
+    given_rules = rules if isinstance(rules, Sequence) and not isinstance(rules, str) else [rules]
+    resolved = [_parse_rule(rule) if isinstance(rule, str) else rule for rule in given_rules]
     for rule in resolved:
         if not isinstance(rule, StopCriterion | TimeLimit | NoImprovement):
             raise InputError(
@@ -372,7 +372,7 @@ def resolve_stop_rules(rules: object) -> tuple[list[StopCriterion], float | None
 
 
 def _parse_rule(text: str) -> StopRule:
-    """Parse the `str` of a rule."""
+    """Parse a stop rule given as text, such as ``missed<0.01``, ``max_seconds=60`` or ``patience=5``."""
     match = _LIMIT_PATTERN.fullmatch(text.replace(" ", ""))
     if match is None:
         return StopCriterion.parse(text)
