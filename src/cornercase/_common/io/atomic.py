@@ -169,7 +169,7 @@ def atomic_write_group() -> Iterator[None]:
 def make_folders(folder: Path) -> list[Path]:
     """Make a folder with its parents, and return the folders that were missing, outermost first.
 
-    If one of them cannot be made, none is.
+    If one of them cannot be made, the others are removed again.
     """
     missing = [parent for parent in (folder, *folder.parents) if not parent.exists()][::-1]
     made = []
@@ -188,7 +188,7 @@ def make_folders(folder: Path) -> list[Path]:
 
 
 def fsync_all(files: Iterable[Path], names: Iterable[Path]) -> None:
-    """Sync files to disk in parallel; error messages call them by the paths in `names`."""
+    """Sync files to disk in parallel; `names` are the paths that error messages show instead of `files`."""
     pairs = list(zip(files, names, strict=True))
 
     def fsync_one(pair: tuple[Path, Path]) -> None:

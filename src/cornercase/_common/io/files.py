@@ -41,7 +41,7 @@ def portable_name(text: str) -> str:
 def read_file(path: Path | str, max_size: int = MAX_FILE_SIZE) -> bytes:
     """Return the content of a regular file; `InputError` if it cannot be read or has more than `max_size` bytes."""
     path = Path(path)
-    # No file system allows it.
+    # No file system allows null characters in names.
     if "\0" in str(path):
         raise InputError(f"{path}: is not a valid file name.")
     # Reading a device or a pipe may never end.
@@ -140,7 +140,7 @@ def write_files(contents: Mapping[Path, bytes]) -> None:
 
 
 def check_folder(name: str, folder: Path | str) -> Path:
-    """Return the folder's path; `InputError` if it cannot be made because a file is in its place."""
+    """Return the path of a folder; `InputError` if the folder cannot be made because a file has its name."""
     folder = path_argument(name, folder)
     for parent in (folder, *folder.parents):
         if parent.is_dir():

@@ -9,7 +9,7 @@ from typing import Final
 
 from filelock import BaseFileLock, FileLock, Timeout
 
-# Seconds between attempts (locks are held for milliseconds), and seconds until it gives up.
+# Seconds between attempts to lock (locks are held for milliseconds), and seconds after which attempts end.
 _POLL_INTERVAL, _TIMEOUT = 0.005, 60.0
 # Locks that timed out; they are not waited for again until somebody frees them.
 _TIMED_OUT: Final[set[Path]] = set()

@@ -1,4 +1,4 @@
-"""Support table of a file format: whether each element and attribute is used, has no effect, or is refused."""
+"""Support table of a file format, which says how each element and attribute is handled, and notices to users."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _XML_NAMESPACE_PREFIX: Final = "{http://www.w3.org/"
 
 
 class SupportStatus(StrEnum):
-    """How an element or attribute of a file format is supported."""
+    """Status of an element or attribute of a file format: used, without effect, or refused with an error."""
 
     USED = "used"
     WITHOUT_EFFECT = "without effect"
@@ -49,7 +49,7 @@ class SupportStatus(StrEnum):
 
 @dataclass(frozen=True)
 class SupportEntry:
-    """How one element, or one attribute, is supported; `attribute` is empty for the element itself."""
+    """Row of a `SupportTable` about one element or one attribute; `attribute` is empty for the element itself."""
 
     element: str  # may name parents: "Init/Actions"
     attribute: str
@@ -59,15 +59,15 @@ class SupportEntry:
     ]  # values without a notice, as they change nothing; numbers compare as numbers; "*" for all
     note: str  # what happens or what to do instead, without capital and full stop
     allowed_values: tuple[str, ...] = ()  # the only values accepted, if there are few
-    affects_result: bool = True  # whether a simulator that used it, or did not read it, could give another result
+    affects_result: bool = True  # whether the result could depend on the part, or on whether it is read
 
     def is_ignored(self, value: str) -> bool:
-        """Whether an attribute with this value has no effect, so that no notice is needed."""
+        """Return whether an attribute with this value needs no notice, because the value changes nothing."""
         return any(ignored in ("*", value) or _is_same_number(value, ignored) for ignored in self.ignored_values)
 
 
 class NoticeLabel(StrEnum):
-    """Kind of a notice."""
+    """Kind of a notice: parts of a file are without effect, or are adapted (read differently from as written)."""
 
     WITHOUT_EFFECT = "without effect"
     ADAPTED = "adapted"
@@ -82,7 +82,7 @@ class Notice:
     parts : tuple of str
         Elements, and attributes with their elements: ``("<Axles>", "mass of <Vehicle>")``.
     reason : str
-        What happens instead, without a capital at the beginning and a full stop at the end.
+        Clause that says what happens instead, without a capital at the beginning and a full stop at the end.
     file : Path
     lines : tuple of int
         Line numbers in the file, sorted.
@@ -90,7 +90,7 @@ class Notice:
     rule : str
         What the standard says about parts that are adapted; empty for others.
     affects_result : bool
-        Whether a simulator that used the parts could give other positions, speeds or verdicts.
+        True if a simulator that used the parts could give other positions, speeds or verdicts.
     """
 
     parts: tuple[str, ...]
@@ -134,7 +134,7 @@ def merge_notices(notices: Iterable[Notice]) -> tuple[Notice, ...]:
 
 
 def deduplicate_notices(notices: Iterable[Notice]) -> tuple[Notice, ...]:
-    """Keep only the first of several notices with the same parts and reason, whichever file they are about."""
+    """Remove notices whose parts and reason are those of an earlier notice, even if it is about another file."""
     notices_by_key: dict[tuple[tuple[str, ...], str], Notice] = {}
     for notice in notices:
         notices_by_key.setdefault((notice.parts, notice.reason), notice)
@@ -149,9 +149,9 @@ def sort_notices(notices: Iterable[Notice]) -> tuple[Notice, ...]:
 
 
 def adapted_notices(element: etree._Element, file: Path | str) -> tuple[Notice, ...]:
-    """Return notices about parts that violate the standard but could be read.
+    """Return notices about parts of an XML element that violate the standard but could be read.
 
-    They are about an element, its descendants and its ancestors.
+    Parts of its descendants and ancestors are included.
     """
     return merge_notices(
         Notice((what,), why, Path(file), (line_number(part),), NoticeLabel.ADAPTED, rule)
@@ -161,7 +161,7 @@ def adapted_notices(element: etree._Element, file: Path | str) -> tuple[Notice, 
 
 
 def warn_notices(notices: Iterable[Notice]) -> None:
-    """Issue a `NoticeWarning` for each notice that can change the result, and one that counts the others.
+    """Issue a `NoticeWarning` for each notice that can change the result, and one warning that counts the others.
 
     With ``--verbose``, each notice gets its own warning.
     """
@@ -181,7 +181,7 @@ def warn_notices(notices: Iterable[Notice]) -> None:
 
 
 def issue_notice_warning(sentence: str) -> None:
-    """Issue a `NoticeWarning` that Python attributes to the line outside cornercase that called it.
+    """Issue a `NoticeWarning` that Python attributes to the line of the user's code that called cornercase.
 
     Parameters
     ----------
@@ -190,7 +190,7 @@ def issue_notice_warning(sentence: str) -> None:
     """
     issued = _issued_notices.get()
     if issued is not None:
-        # What differs between runs follows the semicolon.
+        # Text after the semicolon may differ between runs.
         subject = sentence.partition("; ")[0]
         if subject in issued:
             return
@@ -202,13 +202,13 @@ def issue_notice_warning(sentence: str) -> None:
 
 
 def _is_inside(module: str) -> bool:
-    """Whether a frame of a module is between the user's line and a notice; decorators have frames in contextlib."""
+    """Return whether a module belongs to cornercase, or is contextlib, through which decorators of cornercase run."""
     return module.startswith("cornercase.") or module == "contextlib"
 
 
 @contextmanager
 def issue_each_notice_once(issued: set[str]) -> Iterator[None]:
-    """Within the block, leave out notices that are in `issued`, and add those that are not."""
+    """Within the block, issue only notices that are not in `issued`, and add them to `issued`."""
     token = _issued_notices.set(issued)
     try:
         yield
@@ -217,9 +217,9 @@ def issue_each_notice_once(issued: set[str]) -> Iterator[None]:
 
 
 class SupportTable:
-    """How each element and attribute of a file format is supported.
+    """Table that says of each element and attribute of a file format if it is used, has no effect, or is refused.
 
-    An entry of an element that has no effect or is refused also covers its attributes and descendants.
+    If an element has no effect or is refused, its entry also applies to its attributes and descendants.
     """
 
     def __init__(self, entries: Iterable[SupportEntry]) -> None:
@@ -230,7 +230,7 @@ class SupportTable:
             same_name = self._by_name.setdefault((name, entry.attribute), [])
             same_name.append((tuple(parents), entry))
             same_name.sort(key=lambda item: -len(item[0]))
-        # Elements that may be refused, or have an attribute that may.
+        # Names of elements that may be refused, or that have an attribute that may be refused.
         self._refusable = tuple(
             {e.element.split("/")[-1] for e in self.entries if e.status is SupportStatus.REFUSED or e.allowed_values}
         )
@@ -239,8 +239,9 @@ class SupportTable:
     def from_csv(cls, package: str, file: str) -> SupportTable:
         """Read the table from a CSV file in a package.
 
-        The columns are element, attribute, status, unless, values, note and matters. Bars separate several values in a
-        cell: ``0|false``. `matters` is yes or no; an empty cell means yes.
+        The columns are those of `SupportEntry`: element, attribute, status, unless (ignored values), values (allowed
+        values), note, and matters (yes or no; does the part affect the result). Bars separate several values in a cell:
+        ``0|false``. An empty cell in the column matters means yes.
         """
         text = (resources.files(package) / file).read_text(encoding="utf-8")
         return cls(
@@ -257,14 +258,14 @@ class SupportTable:
         )
 
     def find_entry(self, path: tuple[str, ...], attribute: str = "") -> SupportEntry | None:
-        """Return the entry of an element or attribute; if several fit, the one that names the most parents."""
+        """Return the entry of an element or attribute; if several fit, the entry that names the most parents."""
         for parents, entry in self._by_name.get((path[-1], attribute), ()):
             if path[len(path) - 1 - len(parents) : -1] == parents:
                 return entry
         return None
 
     def check_supported(self, element: etree._Element, file: Path | str) -> None:
-        """Raise `InputError` at the first element or attribute that is refused, in an element and its descendants."""
+        """Raise `InputError` if an element, a descendant or one of their attributes is refused."""
         if not self._refusable:
             return
         # A file has few distinct paths.
@@ -303,14 +304,15 @@ class SupportTable:
     def unsupported_notices(
         self, element: etree._Element, file: Path | str, is_complete: bool = True
     ) -> tuple[Notice, ...]:
-        """Return notices about parts of an element and its descendants that are unused, unknown or were not read.
+        """Return notices about parts of an element that are without effect, unknown or were not read.
 
-        Call it after the file was read. If the file was not read to its end, pass `is_complete` False: then parts that
-        were not read are not reported.
+        Parts of its descendants are included. Call this method after the file was read. If the file was not read to its
+        end, pass `is_complete` False: then parts that were not read are not reported.
         """
-        silent = self._iter_unsupported(element, _path_from_root(element), is_complete)
+        unsupported = self._iter_unsupported(element, _path_from_root(element), is_complete)
         return merge_notices(
-            Notice((what,), why, Path(file), (line,), affects_result=matters) for what, why, line, matters in silent
+            Notice((what,), why, Path(file), (line,), affects_result=matters)
+            for what, why, line, matters in unsupported
         )
 
     def _iter_unsupported(
@@ -361,12 +363,12 @@ def _unread_reason(entry: SupportEntry) -> str:
 
 
 def tag_without_namespace(element: etree._Element) -> str:
-    """Tag of an element without its namespace."""
+    """Return the tag of an element without its namespace."""
     return str(element.tag).rpartition("}")[2]
 
 
 def _own_attributes(element: etree._Element) -> list[tuple[str, str]]:
-    """Return names and values of an element's attributes, without XML's own such as schema locations."""
+    """Return names and values of an element's attributes, without attributes of XML, such as schema locations."""
     pairs = ((str(name), str(value)) for name, value in element.items())
     return [(name, value) for name, value in pairs if not name.startswith(_XML_NAMESPACE_PREFIX)]
 

@@ -32,7 +32,7 @@ class TrackedElement(etree.ElementBase):
     adaptations: dict[tuple[str, str], str] | None = None
 
     def get(self, key: Any, default: Any = None) -> Any:
-        """Value of an attribute."""
+        """Return the value of an attribute, and record that it was requested."""
         if self.requested_attributes is None:
             self.requested_attributes = {key}
         else:
@@ -40,25 +40,25 @@ class TrackedElement(etree.ElementBase):
         return _get(self, key, default)
 
     def find(self, path: Any, namespaces: Any = None) -> Any:
-        """First element at a path."""
+        """Return the first element at a path, or None, and mark the element as found."""
         return _mark_found(_find(self, path, namespaces))
 
     def findall(self, path: Any, namespaces: Any = None) -> Any:
-        """All elements at a path."""
+        """Return all elements at a path, and mark them as found."""
         return [_mark_found(element) for element in etree.ElementBase.findall(self, path, namespaces)]
 
     def iterfind(self, path: Any, namespaces: Any = None) -> Any:
-        """Iterate over the elements at a path."""
+        """Iterate over the elements at a path, and mark them as found."""
         return map(_mark_found, etree.ElementBase.iterfind(self, path, namespaces))
 
     def iterchildren(self, *tags: Any, **options: Any) -> Any:
-        """Children, optionally only with these tags."""
+        """Iterate over the children, optionally only with these tags, and mark them as found."""
         return map(_mark_found, _children(self, *tags, **options))
 
     def iter(self, *tags: Any, **options: Any) -> Any:
         """Iterate over the element and its descendants.
 
-        If tags are given, only elements with these tags are returned, and they are marked as found.
+        If tags are given, only elements with these tags are returned, and these elements are marked as found.
         """
         elements = etree.ElementBase.iter(self, *tags, **options)
         return map(_mark_found, elements) if tags else elements
@@ -102,7 +102,7 @@ def find_by_name(elements: Iterable[etree._Element], name: str) -> etree._Elemen
 
 
 def is_read(element: etree._Element) -> bool:
-    """Whether an element was found or one of its attributes requested; True if the element is not tracked."""
+    """Return whether an element was found or one of its attributes requested; True for untracked elements."""
     return not isinstance(element, TrackedElement) or element.is_found or element.requested_attributes is not None
 
 
@@ -112,7 +112,7 @@ def requested_attributes(element: etree._Element) -> frozenset[str] | None:
 
 
 def cached_on_element(element: etree._Element, key: str, make: Callable[[], T]) -> T:
-    """Return `make()`, which is called once per element and key if the element is tracked."""
+    """Return the result of `make`; on a tracked element, the result is cached under `key`."""
     if not isinstance(element, TrackedElement):
         return make()
     if element.cache is None:
@@ -133,7 +133,7 @@ def note_adaptation(element: etree._Element, part: str, reason: str, rule: str) 
 
 
 def list_adaptations(element: etree._Element) -> list[tuple[str, str, str]]:
-    """Return part, reason and rule of each violation recorded with `note_adaptation`."""
+    """Return part, reason and rule of each violation of the standard that `note_adaptation` recorded."""
     notes = element.adaptations if isinstance(element, TrackedElement) else None
     return [(what, why, rule) for (what, why), rule in (notes or {}).items()]
 

@@ -1,4 +1,4 @@
-"""Turn keys in plain words into identifiers, for JSON that programs read."""
+"""Conversion of keys in plain words to identifiers, for JSON that programs read."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ def key_to_identifier(key: str) -> str:
 
 
 def keys_to_identifiers(plain: Any, name_levels: Mapping[str, int]) -> Any:
-    """Replace the keys of nested dictionaries by identifiers, except names of things such as metrics.
+    """Replace the keys of nested dictionaries by identifiers, except keys that are names, such as names of metrics.
 
-    `name_levels` maps a key to the number of levels below it whose keys are such names.
+    `name_levels` maps a key to a number of levels. In this many levels below the key, keys are names and stay.
     """
     if isinstance(plain, Mapping):
         return {

@@ -16,7 +16,7 @@ def parse_number(value: str | float) -> float:
 
 
 def parse_finite_number(text: str) -> float | None:
-    """Parse a finite number; None if the text is not one."""
+    """Parse a finite number; return None if the text is not a finite number."""
     try:
         number = parse_number(text)
     except ValueError:

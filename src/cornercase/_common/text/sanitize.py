@@ -20,7 +20,7 @@ _CONTROL_CHARACTERS: Final = re.compile(
 _SURROGATE: Final = re.compile("[\ud800-\udfff]")
 # JSON text that may decode to a lone surrogate.
 _POSSIBLE_SURROGATE: Final = re.compile(r"\\u[dD][89a-fA-F]|[\ud800-\udfff]")
-# Text that a spreadsheet takes for a formula, possibly escaped already.
+# Text that a spreadsheet takes for a formula, perhaps after apostrophes that escape the formula.
 _FORMULA_START: Final = re.compile("'*[=+\\-@\t\r\n\uff1d\uff0b\uff0d\uff20]")
 # Names without spaces and commas need no quotes in a sentence.
 _SINGLE_WORD: Final = re.compile(r"[\w./:#+-]+")
@@ -53,7 +53,7 @@ def shorten(text: str, max_length: int) -> str:
 def wrap_text(text: str, width: int, max_lines: int) -> str:
     """Wrap a text to at most `max_lines` lines of `width` characters; a longer text ends with an ellipsis.
 
-    A text whose lines fit already stays as it is.
+    A text whose lines already fit is returned unchanged.
 
     >>> print(wrap_text("Ego yields to Pedestrian", 14, 3))
     Ego yields to
@@ -158,6 +158,7 @@ def check_no_surrogates(text: str) -> None:
     if (match := _SURROGATE.search(text)) is not None:
         raise ValueError(
             f"'{escape_control_characters(shorten(text[max(match.start() - 20, 0) :], 40))}' holds half a character"
+            " (a lone surrogate)"
         )
 
 

@@ -38,7 +38,7 @@ def format_location(element: HasLine, source: str) -> str:
 
 @contextmanager
 def locate_input_errors(element: HasLine | None, source: str) -> Iterator[None]:
-    """Put file, line and element before the message of an `InputError` in the block, unless it names a line already."""
+    """Put file, line and tag before the message of an `InputError` in the block, unless the message names a line."""
     try:
         yield
     except InputError as error:
@@ -51,7 +51,7 @@ def locate_input_errors(element: HasLine | None, source: str) -> Iterator[None]:
 
 
 def replace_line(location: str, element: HasLine) -> str:
-    """Return `location` (file, line and road as text) with the line of another element."""
+    """Return `location`, a text such as ``"a.xodr, line 3, road 1"``, with the line number of another element."""
     return _LINE_PATTERN.sub(f", line {element.sourceline}", location, count=1)
 
 
