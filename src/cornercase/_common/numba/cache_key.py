@@ -17,8 +17,8 @@ from numba.core.dispatcher import Dispatcher
 def kernel_digest(function: Callable[..., Any], options: dict[str, Any]) -> str:
     """Return a digest of everything that the machine code of a function depends on, including code in other modules.
 
-    Closure variables are left out, because numba keeps code for each value of them. TypeError for a global variable of
-    an unsupported type.
+    Closure variables are left out, because numba stores separate code for each of their values. TypeError for a global
+    variable of an unsupported type.
     """
     digest = hashlib.sha256(repr(sorted(options.items())).encode())
     for part in _DigestWalk().walk(function, frozenset()):
@@ -32,7 +32,7 @@ _EXTERNAL_PACKAGES = sys.stdlib_module_names | {"numba", "numpy"}
 
 
 class _DigestWalk:
-    """Visits a function and everything that it uses, each function once, since functions may call one another."""
+    """Walk through a function and everything that it uses; each function is visited once, as calls may be circular."""
 
     def __init__(self) -> None:
         self.seen: set[Any] = set()
@@ -91,9 +91,9 @@ def _is_external(module: str) -> bool:
 
 
 def _walk_bytecode(code: CodeType, names: set[str], docstring: str | None = None) -> Iterator[bytes]:
-    """Yield the instructions and constants of a code object; add the names it uses to `names`.
+    """Yield the instructions and constants of a code object, and add the names that the code uses to `names`.
 
-    Line numbers and the docstring are left out, as they change nothing.
+    Line numbers and the docstring are left out, because they do not change the machine code.
     """
     names.update(code.co_names)
     yield f"{code.co_varnames} {code.co_freevars} {code.co_names} {code.co_argcount}".encode()

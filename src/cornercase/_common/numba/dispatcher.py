@@ -1,7 +1,7 @@
 """Compile a kernel together with all kernels that it calls: the whole code is optimized once.
 
-numba alone would optimize each function, translate it to machine code and wrap it for calls from Python, and repeat
-this for the functions that it calls, at each level of calls.
+numba alone would optimize each function, translate it to machine code and wrap it for calls from Python. It would
+repeat this for all called functions, at each level of calls.
 """
 
 # numba's internals have no type hints.
@@ -25,12 +25,12 @@ from cornercase._common.numba.interpret import can_interpret, interpret, must_in
 
 
 class KernelDispatcher(CPUDispatcher):
-    """A compiled function; if another kernel calls it, its code is compiled into that kernel."""
+    """Function that numba compiles (kernel); if another kernel calls it, both are compiled together."""
 
     def __init__(self, function, options, estimate_seconds=None):
-        """Make a kernel; if `estimate_seconds` is given, Python may interpret it as long as it is not compiled.
+        """Make a kernel; if `estimate_seconds` is given, Python may interpret the kernel until it is compiled.
 
-        `estimate_seconds` returns how many seconds Python would need for the arguments that it gets.
+        `estimate_seconds` gets the arguments of a call, and returns how many seconds Python would need for the call.
         """
         options = {"nopython": True, "nogil": True, "no_cfunc_wrapper": True, **options}
         super().__init__(function, targetoptions=options, pipeline_class=_Compiler)
@@ -39,18 +39,18 @@ class KernelDispatcher(CPUDispatcher):
         self._estimate_seconds = estimate_seconds
         # Kinds of arguments for which no machine code was on disk.
         self._missing: set[Any] = set()
-        # Types of the arguments with which it is called at its address; None if it is not.
+        # Types of arguments in calls at the address of the kernel; None if there are no such calls.
         self._late_kinds: Any = None
 
     @property
     def is_compiled(self):
-        """Whether this process has compiled or loaded the kernel, alone or as a part of another kernel."""
+        """True if this process has compiled or loaded the kernel, alone or as a part of another kernel."""
         return bool(self.overloads or self._parts)
 
     def is_ready(self, *args):
-        """Whether there is machine code in this process, or on disk for arguments of these types.
+        """Return whether machine code exists in this process, or on disk for arguments of these types.
 
-        The disk is asked once, as that takes longer than to interpret a short call.
+        The disk is searched only once for these types, because a search takes longer than a short interpreted call.
         """
         if self.overloads:
             return True
@@ -70,7 +70,7 @@ class KernelDispatcher(CPUDispatcher):
             return super().compile(sig)
 
     def is_interpreted(self, *args):
-        """Whether a call with these arguments is interpreted."""
+        """Return whether a call with these arguments is interpreted."""
         estimate = self._estimate_seconds
         return estimate is not None and can_interpret(estimate(*args)) and not self.is_ready(*args)
 
@@ -83,13 +83,13 @@ class KernelDispatcher(CPUDispatcher):
         return compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name)
 
     def check_late_kinds(self, kinds):
-        """Check that all who call the kernel at its address, and who compiles it, name the same types of arguments."""
+        """Raise `TypeError` if calls at the kernel's address or its compilation differ in the types of arguments."""
         if self._late_kinds not in (None, kinds):
             raise TypeError(f"{self} is called with {kinds}, but also with {self._late_kinds}.")
         self._late_kinds = kinds
 
     def _compile_for_args(self, *args, **kws):
-        # What is returned is then called.
+        # numba calls the function that is returned.
         if self.is_interpreted(*args):
             return partial(_interpret_call, self)
         return super()._compile_for_args(*args, **kws)
@@ -97,7 +97,7 @@ class KernelDispatcher(CPUDispatcher):
     def get_call_template(self, args, kws):
         """Return the signatures for a call from another kernel."""
         pysig, args = self._compiler.fold_argument_types(args, kws)
-        # Not once more for each constant: LLVM knows them, too.
+        # A constant argument needs no code of its own, because LLVM evaluates constants, too.
         args = tuple(map(types.unliteral, args))
         if args not in self._parts:
             with event.trigger_event("numba:compile", {"dispatcher": self, "args": args, "return_type": None}):
@@ -124,7 +124,7 @@ class KernelDispatcher(CPUDispatcher):
 
 @contextmanager
 def _paused_garbage_collection() -> Iterator[None]:
-    """Within the block, do not look for garbage: the compiler makes millions of objects, nearly all of them needed."""
+    """Pause garbage collection within the block: the compiler makes millions of objects and needs nearly all."""
     was_enabled = gc.isenabled()
     gc.disable()
     try:
@@ -135,7 +135,7 @@ def _paused_garbage_collection() -> Iterator[None]:
 
 
 def _kind(value):
-    """Return a key for the type of an argument, faster than numba does; the elements of a tuple are not looked at."""
+    """Return a key for the type of an argument, faster than numba; types of the elements of a tuple are ignored."""
     if isinstance(value, np.ndarray):
         return value.dtype, value.ndim, value.flags.c_contiguous
     return type(value)
@@ -146,7 +146,7 @@ def _interpret_call(kernel, *args):
 
 
 class _PartLibrary(JITCodeLibrary):
-    """Intermediate code of a kernel that other kernels call; they optimize it and translate it to machine code."""
+    """Intermediate code of a called kernel; it becomes machine code as a part of the calling kernel."""
 
     def finalize(self):
         self._raise_if_finalized()
@@ -158,7 +158,7 @@ class _PartLibrary(JITCodeLibrary):
 
 
 class _KernelLibrary(JITCodeLibrary):
-    """Code of a kernel and of the kernels that it calls."""
+    """Code of a kernel together with the kernels that it calls, as one library."""
 
     def serialize_using_object_code(self):
         """Return name, kind and machine code in numba's format, without the intermediate code.
@@ -183,7 +183,7 @@ class _KernelLibrary(JITCodeLibrary):
             lacking = {function.name for function in self._final_module.functions if function.is_declaration}
             waiting = [module for module in modules if not lacking.isdisjoint(_defined_names(module))]
         for function in self._final_module.functions:
-            # Nobody else calls it: it can be inlined and left out.
+            # No other library calls the function, so LLVM may inline it and leave it out.
             if not function.is_declaration and function.name not in own:
                 function.linkage = "internal"
         super().finalize()

@@ -1,4 +1,4 @@
-"""Run kernels with Python's interpreter: the source is the same, and so are the results to the last digit.
+"""Run kernels with Python's interpreter; results are the same as those of compiled kernels, to the last digit.
 
 For a few scenarios this takes less time than compiling. `math` calls the same C library as compiled code; all other
 operations are exact or replaced here.
@@ -25,22 +25,22 @@ from numba.core.dispatcher import Dispatcher
 from cornercase._common.numba import pointers, tuple_pointers
 
 MAX_SECONDS: Final = 4.0
-"""Longest time in s for which a process interprets kernels; compiling all of them takes longer."""
+"""Longest time in s for which a process interprets kernels; compiling all kernels takes longer."""
 
 
 class _Clock:
-    """Counts the seconds for which this process has interpreted kernels."""
+    """Seconds for which this process has interpreted kernels, and settings of when kernels are interpreted."""
 
     spent = 0.0  # s
-    is_stopped = False  # whether all kernels are compiled at once
-    is_stopped_for_loops = False  # whether those are that hold most of the work
+    is_stopped = False  # whether all kernels are compiled at their first call
+    is_stopped_for_loops = False  # whether kernels with most of the work are compiled at their first call
     is_forced = False  # whether kernels are interpreted even if there is machine code
 
 
 def can_interpret(seconds: float, *, is_loop: bool = False) -> bool:
-    """Whether this process may still interpret kernels for `seconds` s.
+    """Return whether this process may interpret kernels for another `seconds` s.
 
-    `is_loop`: it is one that holds most of the work, as the simulator's time loop.
+    `is_loop` is True for a kernel that does most of the work, such as the simulator's time loop.
     """
     if _Clock.is_forced:
         return True
@@ -60,7 +60,7 @@ def compile_at_once() -> Iterator[None]:
 
 @contextmanager
 def compile_loops_at_once() -> Iterator[None]:
-    """Within the block, compile kernels that hold most of the work at their first call, because many calls follow."""
+    """Within the block, compile kernels that do most of the work at their first call, because many calls follow."""
     before, _Clock.is_stopped_for_loops = _Clock.is_stopped_for_loops, True
     try:
         yield
@@ -69,12 +69,12 @@ def compile_loops_at_once() -> Iterator[None]:
 
 
 def are_all_compiled() -> bool:
-    """Whether everything is compiled at once, as in `warm-up`."""
+    """Return whether every kernel is compiled at its first call, as in `warm-up`; see `compile_at_once`."""
     return _Clock.is_stopped
 
 
 def must_interpret() -> bool:
-    """Whether kernels are interpreted even if they are compiled; see `interpret_always`."""
+    """Return whether kernels are interpreted even if machine code is on disk; see `interpret_always`."""
     return _Clock.is_forced
 
 
@@ -122,7 +122,7 @@ def _nested_codes(code: CodeType) -> Iterator[CodeType]:
 
 
 class _Division(ast.NodeTransformer):
-    """Replaces operators whose results differ in compiled code: divisions and remainders by 0, and squares."""
+    """Syntax-tree transformer that replaces operators whose results differ in compiled code: divisions and powers."""
 
     functions: Final = {ast.Div: "_divide", ast.FloorDiv: "_floor_divide", ast.Mod: "_remainder", ast.Pow: "_power"}
 
@@ -135,7 +135,7 @@ class _Division(ast.NodeTransformer):
         return ast.copy_location(ast.Call(ast.Name(name, ast.Load()), [node.left, node.right], []), node)
 
     def visit_AugAssign(self, node: ast.AugAssign) -> ast.AST:
-        """Replace the operator if a variable is changed; elements of arrays are divided by NumPy."""
+        """Replace an operator such as ``/=`` if its target is a variable; NumPy divides elements of arrays."""
         self.generic_visit(node)
         if not isinstance(node.target, ast.Name):
             return node
@@ -166,7 +166,7 @@ def _remainder(a: Any, b: Any) -> Any:
     try:
         return operator.mod(a, b)
     except ZeroDivisionError:
-        # 0 of integers, as in compiled code.
+        # For integers, the result is 0, as in compiled code.
         return np.remainder(a, b)
 
 
@@ -174,7 +174,7 @@ def _floor_divide(a: Any, b: Any) -> Any:
     try:
         return a // b
     except ZeroDivisionError:
-        # Of integers, compiled code gives 0.
+        # For integers, the result is 0, as in compiled code.
         return np.floor_divide(a, b)
 
 
@@ -200,7 +200,7 @@ def _power(a: Any, exponent: Any) -> Any:
 
 
 def _integer(value: Any) -> int:
-    """As `int`, but what the processor gives for a float that no integer of 64 bits holds."""
+    """Convert a value to an integer; a float beyond 64 bits gives the same integer as in compiled code."""
     try:
         result = int(value)
     except (ValueError, OverflowError):
@@ -208,7 +208,7 @@ def _integer(value: Any) -> int:
     return result if -(2**63) <= result < 2**63 else int(np.float64(value).astype(np.int64))
 
 
-# Python's own hypot rounds otherwise than that of the C library.
+# Python's own hypot rounds differently from the hypot of the C library.
 _MATH: Final = SimpleNamespace(**vars(math))
 for _name in ("acos", "asin", "atan", "atan2", "cos", "exp", "fmod", "log", "sin", "sqrt", "tan"):
     setattr(_MATH, _name, _without_exceptions(getattr(math, _name)))
@@ -240,7 +240,7 @@ _REPLACED: Final[dict[Any, Any]] = {
 
 
 def _replaced(value: Any) -> Any:
-    """Return what interpreted code uses in place of a global value."""
+    """Return the object that interpreted code uses in place of a global value."""
     if isinstance(value, Dispatcher):
         return _interpreted_function(value.py_func)
     if isinstance(value, ModuleType) and value.__name__.startswith("cornercase."):
@@ -252,7 +252,7 @@ def _replaced(value: Any) -> Any:
 
 
 class _Module:
-    """Stands for a module in interpreted code; its kernels are interpreted too."""
+    """Stand-in for a module in interpreted code; kernels of the module are interpreted, too."""
 
     def __init__(self, module: ModuleType) -> None:
         self._module = module

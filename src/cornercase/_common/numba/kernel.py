@@ -62,7 +62,7 @@ class _SharedCache(FunctionCache):
                 return None
 
     def has_overload(self, sig, target_context):
-        """Whether there seems to be machine code on disk."""
+        """Return whether machine code for a signature seems to be on disk."""
         self._set_source_stamp()
         if self._shipped.has(self._cache_file._source_stamp, sig):
             return True
@@ -135,9 +135,9 @@ def kernel(
 
 
 class _CompilationListener(event.Listener):
-    """Logs that numba begins to compile kernels, and then that it goes on, unless other listeners are registered.
+    """Listener that logs when numba begins to compile kernels, and from time to time that compiling goes on.
 
-    Worker processes log nothing, because their parent does.
+    Nothing is logged if other listeners are registered, or in worker processes, because their parent logs.
     """
 
     def __init__(self, seconds_between_messages: float = 10.0) -> None:

@@ -1,7 +1,7 @@
-"""Kernels that are compiled only if a batch needs them; compiled code calls them at an address in a table.
+"""Kernels that are compiled only when scenarios need them; compiled code calls them at an address in a table.
 
-So a scenario with one kind of action compiles one kind of action. Such a call takes as long as an ordinary one, but
-LLVM cannot inline it.
+For example, only the kinds of actions that occur are compiled. A call at an address takes as long as an ordinary call,
+but LLVM cannot inline it.
 """
 
 from __future__ import annotations
@@ -18,22 +18,23 @@ from cornercase._common.typing import IntArray
 
 
 class LateKernels:
-    """Numbered kernels that take the same types of arguments; `pointers.call_for_int` and so on call them.
+    """Numbered kernels with the same types of arguments that are compiled only when they are needed.
 
-    `addresses[number]` is the address of a kernel, or 0 while it is not compiled.
+    `addresses[number]` is the address of a kernel, or 0 while the kernel is not compiled. Functions such as
+    `pointers.call_for_int` call a kernel at its address.
     """
 
     def __init__(self, kernels: dict[int, Callable[..., Any]], result: Any) -> None:
-        """Take kernels by number, and numba's type of their results."""
+        """Store kernels by number; `result` is numba's type of their results."""
         self.addresses: IntArray = np.zeros(max(kernels) + 1, dtype=np.int64)
         self._kernels: dict[int, Any] = dict(kernels)
         self._result, self._lock = result, Lock()
 
     def link(self, numbers: Iterable[int], *arguments: Any) -> None:
-        """Compile the kernels with some numbers, if they are not yet, for arguments of these types.
+        """Compile the kernels with these numbers, unless they are compiled already, for the types of `arguments`.
 
-        Named tuples are passed by reference; a numba type stands for itself. Numbers without a kernel do
-        not matter. In `warm-up`, all are compiled.
+        Named tuples are passed by reference. A numba type may be given instead of an argument. Numbers without a kernel
+        are ignored. Within `compile_at_once`, as in `warm-up`, all kernels are compiled.
         """
         needed = self._kernels if are_all_compiled() else self._kernels.keys() & set(numbers)
         if all(self.addresses[number] for number in needed):

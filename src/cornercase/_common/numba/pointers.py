@@ -1,6 +1,6 @@
-"""Arrays and other kernels that kernels access by memory address.
+"""Access to arrays and kernels by memory address, for use in kernels.
 
-A kernel is compiled anew for each number of array arguments. One table of addresses replaces them all.
+A kernel is compiled again for each number of array arguments. One table of addresses replaces all array arguments.
 """
 
 # numba's extension API has no type hints.
@@ -17,14 +17,17 @@ from numba.extending import intrinsic
 
 
 def memory_address(array: npt.NDArray[Any]) -> int:
-    """Memory address of the first element of a C-contiguous array; the caller keeps the array alive."""
+    """Return the memory address of the first element of a C-contiguous array; the caller keeps the array alive."""
     assert array.flags.c_contiguous
     address: int = array.__array_interface__["data"][0]
     return address
 
 
 def _array_intrinsic(context, address, count, dtype):
-    """Typed 1-D view of memory at an address. It is not reference-counted; the caller keeps the memory alive."""
+    """Return signature and code generator of an intrinsic that makes an array, shape (count,), at an address.
+
+    The array is a view and not reference-counted; the caller keeps the memory alive.
+    """
     array = types.Array(dtype, 1, "C")
 
     def emit_array(context, builder, signature, values):
@@ -41,19 +44,19 @@ def _array_intrinsic(context, address, count, dtype):
 
 @intrinsic
 def floats_at_address(context, address, count):
-    """Array of float64, shape (count,), at an address."""
+    """Return the memory at an address as an array of float64, shape (count,), without a copy."""
     return _array_intrinsic(context, address, count, types.float64)
 
 
 @intrinsic
 def ints_at_address(context, address, count):
-    """Array of int64, shape (count,), at an address."""
+    """Return the memory at an address as an array of int64, shape (count,), without a copy."""
     return _array_intrinsic(context, address, count, types.int64)
 
 
 @intrinsic
 def bools_at_address(context, address, count):
-    """Array of bool, shape (count,), at an address."""
+    """Return the memory at an address as an array of bool, shape (count,), without a copy."""
     return _array_intrinsic(context, address, count, types.boolean)
 
 
@@ -77,17 +80,17 @@ def _late_call(kernel, arguments, result):
 
 @intrinsic
 def call_for_int(context, kernel, address, arguments):
-    """Call a kernel at its address, with a tuple of arguments; it returns an integer."""
+    """Call the kernel at an address with a tuple of arguments, and return its integer result."""
     return _late_call(kernel, arguments, types.int64)
 
 
 @intrinsic
 def call_for_float(context, kernel, address, arguments):
-    """Call a kernel at its address, with a tuple of arguments; it returns a float."""
+    """Call the kernel at an address with a tuple of arguments, and return its float result."""
     return _late_call(kernel, arguments, types.float64)
 
 
 @intrinsic
 def call_for_bool(context, kernel, address, arguments):
-    """Call a kernel at its address, with a tuple of arguments; it returns whether something holds."""
+    """Call the kernel at an address with a tuple of arguments, and return its Boolean result."""
     return _late_call(kernel, arguments, types.boolean)

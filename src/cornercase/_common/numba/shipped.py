@@ -1,7 +1,7 @@
-"""Machine code that a wheel contains, compiled when the wheel was built.
+"""Machine code that the installed wheel contains, compiled when the wheel was built.
 
-It is used if source code and versions of Python, numba and LLVM are the same, and if the processor has the features of
-its level, such as x86-64-v3. Levels do not affect results, since no operation is reordered or fused.
+The machine code is used if source code and versions of Python, numba and LLVM are the same, and if the processor has
+the features of a level, such as x86-64-v3. Levels do not affect results, since no operation is reordered or fused.
 """
 
 # numba's internals have no type hints.
@@ -38,7 +38,7 @@ LEVELS: Final[dict[str, dict[str, tuple[str, ...]]]] = {
     },
     "arm64": {"generic": ()},
 }
-"""Processor levels by family, the highest first, and the features that tell whether a machine has them."""
+"""Processor levels by processor family, the highest first, and the processor features that each level adds."""
 
 SHIP_VARIABLE: Final = "CORNERCASE_SHIP"
 """Environment variable with the folder that machine code is also written to while a wheel is built."""
@@ -62,13 +62,13 @@ def _folder() -> Path | None:
 
 
 class ShippedCode:
-    """Machine code of one function in a wheel, by argument types."""
+    """Machine code of one function that the installed wheel contains, by argument types."""
 
     def __init__(self, function: Any) -> None:
         self._function = function
 
     def load(self, source_digest: str, signature: Any, target_context: Any) -> Any:
-        """Return numba's compile result for argument types; None if there is none, or if its file is damaged."""
+        """Return numba's compile result for argument types; None if its file is missing or damaged."""
         path = self._path(source_digest, signature)
         if path is None or not path.is_file():
             return None
@@ -80,7 +80,7 @@ class ShippedCode:
             return None
 
     def has(self, source_digest: str, signature: Any) -> bool:
-        """Whether a file with machine code for argument types exists."""
+        """Return whether a file with machine code for argument types exists."""
         path = self._path(source_digest, signature)
         return path is not None and path.is_file()
 
@@ -104,9 +104,9 @@ class ShippedCode:
 
 
 def nested_field_names(numba_type: Any) -> tuple[Any, ...]:
-    """Return the field names of a tuple type and of the tuples in it; machine code accesses fields by position.
+    """Return the field names of a numba tuple type and of nested tuples; machine code accesses fields by position.
 
-    A reference has those of its tuple.
+    For a `Reference`, the field names of the referenced tuple are returned; for other types, an empty tuple.
     """
     if isinstance(numba_type, Reference):
         return nested_field_names(numba_type.table)

@@ -36,14 +36,14 @@ class _ReferenceModel(models.PrimitiveModel):
 
 @unbox(Reference)
 def _unbox_reference(reference, value, c):
-    """Make a reference of an address; numba asks for it, though Python calls no kernel with references."""
+    """Convert an address to a reference; numba requires this function, although Python passes no references."""
     return NativeValue(c.builder.bitcast(c.pyapi.long_as_voidptr(value), c.context.get_value_type(reference)))
 
 
 def reference_type(value: Any) -> Any:
-    """Return the numba type of a value that a kernel passes to another: that of a reference, if it is a named tuple.
+    """Return the numba type with which a kernel passes a value to another kernel.
 
-    A numba type stands for itself.
+    Named tuples are passed as a `Reference`. If `value` is a numba type, it is returned unchanged.
     """
     if isinstance(value, types.Type):
         return value
@@ -64,7 +64,7 @@ def reference_to(context, table):
     def emit_reference(context, builder, signature, values):
         slot = cgutils.alloca_once(builder, values[0].type)
         builder.store(values[0], slot)
-        # Hides where the pointer comes from: what is read from it later is declared constant, which it is only by now.
+        # Hides the origin of the pointer from LLVM: later reads are declared constant, but the store above is not.
         function_type = ir.FunctionType(slot.type, [slot.type])
         return builder.asm(function_type, "", "=r,0,~{memory}", [slot], side_effect=True)
 
