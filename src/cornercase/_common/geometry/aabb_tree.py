@@ -39,9 +39,10 @@ def build_aabb_tree(bounds):
 
 @kernel(error_model="numpy", _nrt=False)
 def next_overlapping_leaf(tree, node, low_x, low_y, high_x, high_y):
-    """Return the next leaf whose box overlaps the bounds, or 0 if there is none.
+    """Return the number of the next leaf node whose box overlaps the bounds, or 0 if there is none.
 
-    The search begins at `node` and goes on in order of time; pass `node` 1 for the first leaf.
+    The search begins at `node` and goes on in order of time. Pass 1 for the first leaf, and `node_after_subtree(leaf)`
+    for the leaf after `leaf`.
     """
     leaves = len(tree) // 2
     while node > 0:
@@ -65,9 +66,10 @@ def node_after_subtree(node):
 
 @kernel(error_model="numpy")
 def append_run(runs, count, step, other_step):
-    """Begin a run at row `count` of `runs`, and return the array; an array that is full is doubled.
+    """Begin a run of overlaps in row `count` of `runs`, and return the array; a full array is replaced by a longer one.
 
-    Columns are those of `OverlapRuns.runs`; the caller fills the last one.
+    A run says that `step` of one path overlaps `other_step` and the following steps of another path. The row is that
+    of `OverlapRuns.runs`; the caller fills the last column.
     """
     if count == len(runs):
         grown = np.empty((2 * count, 3), dtype=np.int64)

@@ -23,12 +23,12 @@ _SIGNS_ACROSS = np.array([-1.0, 1.0, 1.0, -1.0])
 
 
 def wrap_angle(angle: npt.ArrayLike) -> FloatArray:
-    """Angles in rad, wrapped to [-π, π)."""
+    """Return angles in rad, wrapped to [-π, π)."""
     return np.asarray((np.asarray(angle, dtype=np.float64) + np.pi) % (2 * np.pi) - np.pi)
 
 
 def is_facing_forward(angle: npt.ArrayLike) -> BoolArray:
-    """Whether a relative heading (rad) points forward rather than backward; exactly sideways counts as forward."""
+    """Return whether a relative heading (rad) points forward, not backward; exactly sideways counts as forward."""
     return np.asarray(np.cos(angle) > -COS_RIGHT_ANGLE_TOLERANCE)
 
 
@@ -49,9 +49,9 @@ def box_corners(
 
 
 def boxes_overlap(a: FloatArray, b: FloatArray) -> BoolArray:
-    """Whether boxes share a point, from their corners in the order of `box_corners`; a NaN corner overlaps nothing.
+    """Return whether boxes share a point, given their corners in the order of `box_corners`.
 
-    Source: separating axis theorem.
+    A box with a NaN corner overlaps nothing. Source: separating axis theorem.
     """
     overlap = np.ones(np.broadcast_shapes(a.shape[:-2], b.shape[:-2]), dtype=np.bool_)
     for box in (a, b):
@@ -64,10 +64,10 @@ def boxes_overlap(a: FloatArray, b: FloatArray) -> BoolArray:
 
 
 def box_distance(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return the distance in m between boxes, from their corners, shape (..., 4, 2).
+    """Return the distance in m between boxes, given their corners, shape (..., 4, 2).
 
     The distance is 0 if the boxes overlap, and NaN if a corner is NaN. Two separate convex shapes are nearest at a
-    corner of one of them; so it is the smallest distance from a corner to the other box.
+    corner, so the distance is the smallest distance from a corner of one box to the other box.
     """
     of_a, of_b = box_axes(a), box_axes(b)
     nearest = np.minimum(_nearest_corner_distance(a, b, of_b), _nearest_corner_distance(b, a, of_a))
@@ -88,9 +88,9 @@ def _midrange(values: FloatArray) -> FloatArray:
 
 
 def box_axes(box: FloatArray) -> FloatArray:
-    """Return the unit vectors along the length and the width of boxes, shape (..., 2, 2).
+    """Return the unit vectors along the length and the width of boxes, shape (..., 2, 2), given their corners.
 
-    A box with length or width 0 still has both vectors; a box with neither gets +x and +y.
+    If only the length or the width is 0, both vectors are still correct. If both are 0, the vectors are +x and +y.
     """
     across, along = box[..., 1, :] - box[..., 0, :], box[..., 1, :] - box[..., 2, :]
     turned = np.stack([across[..., 1], -across[..., 0]], -1)
@@ -133,7 +133,7 @@ def _overlapping_shifts(axes: FloatArray, a: FloatArray, b: FloatArray) -> tuple
 
 
 def _projected_range(axes: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Smallest and largest coordinate of the points along each axis."""
+    """Return the smallest and largest coordinate of the points along each axis."""
     x, y = np.ascontiguousarray(axes[..., 0]), np.ascontiguousarray(axes[..., 1])
     # Point by point: reducing over a last axis of four is several times slower.
     low = high = x * points[..., 0, None, 0] + y * points[..., 0, None, 1]
@@ -150,12 +150,12 @@ def time_to_contact(
     acceleration: FloatArray | None = None,
     horizon: npt.ArrayLike = np.inf,
 ) -> FloatArray:
-    """Return the time in s at which a box that moves without turning first touches a resting box.
+    """Return the time in s at which two boxes that move without turning first touch.
 
-    `velocity` and `acceleration` are those of `b` relative to `a`. The time is exact: 0 if the boxes touch now, inf if
-    they do not touch within `horizon` s, NaN for NaN inputs. Along each separating axis, the projections overlap while
-    low <= v t + a t²/2 <= high. This holds in at most two time intervals per axis. The boxes touch when every axis is
-    in one of its intervals.
+    `a` and `b` are the corners of the boxes. `velocity` and the constant `acceleration` are those of `b` relative to
+    `a`. The time is exact: 0 if the boxes touch now, inf if they do not touch within `horizon` s, NaN for NaN inputs.
+    The projections of the boxes on a separating axis overlap in at most two time intervals. The boxes touch when their
+    projections on all axes overlap.
     """
     axes = np.concatenate(np.broadcast_arrays(box_axes(a), box_axes(b)), -2)
     low, high = _overlapping_shifts(axes, a, b)
@@ -192,7 +192,7 @@ def time_to_contact(
 
 
 def _overlap_interval_linear(low: FloatArray, high: FloatArray, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return start and end of the times with low <= speed t <= high; if there are none, the start is after the end."""
+    """Return start and end of the times t with low <= speed t <= high; without such times, start is after end."""
     moves = speed != 0.0
     divisor = np.where(moves, speed, 1.0)
     with np.errstate(over="ignore"):
@@ -205,9 +205,9 @@ def _overlap_interval_linear(low: FloatArray, high: FloatArray, speed: FloatArra
 def _overlap_intervals_quadratic(
     low: FloatArray, high: FloatArray, speed: FloatArray, acceleration: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return starts and ends of the two time intervals in which low <= speed t + acceleration t²/2 <= high.
+    """Return starts and ends of the two intervals of times t with low <= speed t + acceleration t²/2 <= high.
 
-    The last axis of both arrays has length 2.
+    The last axis of both results has length 2. The start of an empty interval is after its end.
     """
     down = acceleration < 0.0
     low, high = np.where(down, -high, low), np.where(down, -low, high)
@@ -228,7 +228,7 @@ def _overlap_intervals_quadratic(
 def _quadratic_roots(
     acceleration: FloatArray, speed: FloatArray, offset: FloatArray
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Return the sorted roots of acceleration t²/2 + speed t + offset, and whether they are real; acceleration > 0."""
+    """Return the sorted roots t of acceleration t²/2 + speed t + offset (acceleration > 0), and if they are real."""
     discriminant = speed * speed - 2.0 * acceleration * offset
     # This sum has no cancellation, so the smaller root keeps its digits when the acceleration is small.
     q = -(speed + np.copysign(np.sqrt(np.maximum(discriminant, 0.0)), speed))

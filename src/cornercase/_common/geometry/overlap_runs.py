@@ -1,4 +1,4 @@
-"""Which steps of one path overlap which steps of another, stored as runs: a full table would grow quadratically."""
+"""Overlaps between the steps of two paths, stored as runs of steps because a full table would grow quadratically."""
 
 from __future__ import annotations
 
@@ -13,46 +13,49 @@ from cornercase._common.typing import BoolArray, IntArray
 
 @dataclass(frozen=True, eq=False)
 class OverlapRuns:
-    """Which of the n steps of one path overlap which of the m steps of another.
+    """Overlaps between the n steps of one path and the m steps of another path.
 
-    Each row of `runs`, shape (k, 3), holds a step of the first path, and the first and last of consecutive steps of the
-    second path that it overlaps; the rows are sorted. `shape` is (n, m).
+    Each row of `runs`, shape (k, 3), is a run of overlaps: a step of the first path, and the first and last of the
+    consecutive steps of the second path that overlap this step. The rows are sorted. `shape` is (n, m).
     """
 
     runs: IntArray
     shape: tuple[int, int]
 
     def steps_of_first_path(self) -> IntArray:
-        """Sorted indices of the steps of the first path that overlap any step of the second."""
+        """Return the sorted indices of the steps of the first path that overlap any step of the second path."""
         steps: IntArray = np.unique(self.runs[:, 0])
         return steps
 
     def steps_of_second_path(self) -> IntArray:
-        """Sorted indices of the steps of the second path that overlap any step of the first."""
+        """Return the sorted indices of the steps of the second path that overlap any step of the first path."""
         ends = np.zeros(self.shape[1] + 1, dtype=np.int64)
         np.add.at(ends, self.runs[:, 1], 1)
         np.add.at(ends, self.runs[:, 2] + 1, -1)
         return np.flatnonzero(np.cumsum(ends[:-1]) > 0)
 
     def overlaps_of_step(self, step: int) -> BoolArray:
-        """Mask, shape (m,), of the steps of the second path that overlap step `step` of the first."""
+        """Return a mask, shape (m,), of the steps of the second path that overlap step `step` of the first path."""
         mask = np.zeros(self.shape[1], dtype=np.bool_)
         for first, last in self.runs[self.runs[:, 0] == step, 1:].tolist():
             mask[first : last + 1] = True
         return mask
 
     def steps_overlapping(self, other_step: int) -> BoolArray:
-        """Mask, shape (n,), of the steps of the first path that overlap step `other_step` of the second."""
+        """Return a mask, shape (n,), of the steps of the first path that overlap `other_step` of the second path."""
         mask = np.zeros(self.shape[0], dtype=np.bool_)
         mask[self.runs[(self.runs[:, 1] <= other_step) & (other_step <= self.runs[:, 2]), 0]] = True
         return mask
 
     def connected_components(self) -> list[OverlapRuns]:
-        """Split the overlaps into connected components, sorted by first step; a pair of steps has eight neighbours."""
+        """Split the overlaps into connected components, sorted by first step.
+
+        Pairs of overlapping steps are neighbours if both of their indices differ by at most 1.
+        """
         if not len(self.runs):
             return []
         step, first, last = self.runs.T
-        # Each row has a number for each column and one beyond either end.
+        # Number the pairs of steps row by row, with an additional column at either end of each row.
         row = (step + 1) * (self.shape[1] + 2)
         before = row - (self.shape[1] + 2)
         begins = np.searchsorted(row + last, before + first - 1)

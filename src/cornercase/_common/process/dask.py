@@ -36,7 +36,7 @@ _CLOSE_TIMEOUT: Final = 10.0
 _MAX_START_ATTEMPTS: Final = 5
 # Reapers of clusters whose start was interrupted.
 _INTERRUPTED_REAPERS: Final[list[Reaper]] = []
-# What to close after the connection to a local cluster.
+# Resources to close after the connection to a local cluster.
 _LOCAL_RESOURCES: Final[WeakKeyDictionary[Any, ExitStack]] = WeakKeyDictionary()
 
 
@@ -130,7 +130,7 @@ def _check_scheduler_answers(address: str) -> None:
 
 
 def _is_not_lost_connection(record: logging.LogRecord) -> bool:
-    """Logging filter: drop asyncio's records about lost Dask connections."""
+    """Return False for asyncio's log records about lost Dask connections, so that a logging filter drops them."""
     from distributed.comm.core import CommClosedError
 
     return not (record.exc_info and isinstance(record.exc_info[1], CommClosedError))
@@ -263,7 +263,7 @@ def describe_cluster(client: Client) -> str:
 def wait_for_workers(client: Client, resource: str | None = None) -> list[dict[str, Any]]:
     """Wait up to two minutes for workers, and return their entries in `Client.scheduler_info`.
 
-    If `resource` is given, only workers that offer it count.
+    If `resource` is given, only workers that offer this resource count.
     """
     start = time.monotonic()
     while time.monotonic() - start <= _WORKER_TIMEOUT:
@@ -285,10 +285,10 @@ def _workers_with_resource(client: Client, resource: str | None) -> list[dict[st
 
 
 def wait_any(client: Client, futures: Collection[Future[Any]], resource: str | None = None) -> list[Future[Any]]:
-    """Wait until at least one task has ended, and return all tasks that have.
+    """Wait until at least one task has ended, and return all ended tasks.
 
     `InputError` if there are no workers, or if the scheduler is lost. If `resource` is given, only workers that offer
-    it count.
+    this resource count.
     """
     from distributed import wait
 

@@ -18,7 +18,7 @@ _HOST: Final = "127.0.0.1"
 
 
 class _NoWebPages:
-    """Mixin: serve none of Dask's web pages."""
+    """Mixin for Dask's servers that turns off their web pages."""
 
     def start_http_server(self, *_: object, **__: object) -> None:
         pass
@@ -33,14 +33,14 @@ class LocalWorker(_NoWebPages, Worker):
 
 
 def start_local_cluster(n_workers: int, reaper: Reaper) -> SpecCluster:
-    """Start a local cluster: the scheduler in this process, and each worker in a process that ends with it.
+    """Start a local cluster: the scheduler in this process, and each worker in a child process that ends with it.
 
     Scheduler, workers and client accept only connections with a temporary certificate of this cluster. `reaper` ends
     the workers. RuntimeError if a worker dies while it starts.
     """
 
     class ReapedNanny(Nanny):
-        """Starts a worker, and starts it again if it dies; `reaper` ends it together with this process."""
+        """Dask process that starts a worker again if it dies; `reaper` ends the worker together with this process."""
 
         async def instantiate(self) -> Any:
             with reaper.watch_new_processes(), isolate_children():

@@ -1,7 +1,7 @@
-"""A small child process that cleans up after this process has died: it ends other children and removes folders.
+"""Small child process, the reaper, that ends other child processes and removes folders when its parent has died.
 
 A process that is killed cannot clean up, and its children may be in compiled code that never checks their parent. The
-reaper process exits when its standard input closes, however its parent died; before that, it cleans up.
+reaper process waits until its standard input closes, which happens however the parent died. Then it cleans up.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from cornercase._common.platform import detached_process_options, list_process_t
 if TYPE_CHECKING:
     from psutil import Process
 
-# Seconds: processes have to end by themselves after their parent; interval between checks; time to remove a folder in
-# which one of them may still write.
+# Seconds that processes have to end by themselves after their parent; seconds between checks; seconds in which removing
+# a folder is tried again, as a process may still write into the folder.
 _GRACE, _POLL_INTERVAL, _REMOVE_TIMEOUT = 2.5, 0.1, 1.0
 # Environment variable of processes that are started within `Reaper.watch_new_processes`.
 _MARK_VARIABLE: Final = "CORNERCASE_GUARDIAN"
@@ -41,9 +41,9 @@ _REAPER_CODE: Final = (
 
 
 class Reaper:
-    """Ends processes and removes folders once this process has ended, however that happened.
+    """Handle of a child process that ends processes and removes folders once this process has ended or was killed.
 
-    The reaper process is started when there is something to clean up.
+    The child process is started when there is something to clean up.
 
     >>> with Reaper() as reaper:
     ...     folder = reaper.make_temporary_folder()
@@ -172,7 +172,7 @@ def _send_message(process: subprocess.Popen[bytes], category: str, name: str, *,
 
 
 def run_reaper() -> None:
-    """Run the reaper process: read what to clean up until standard input closes, then clean up."""
+    """Run the reaper process: read messages on what to clean up until standard input closes, then clean up."""
     for number in (signal.SIGINT, *termination_signals()):
         signal.signal(number, signal.SIG_IGN)
     guarded = _read_messages(sys.stdin.buffer)
@@ -190,7 +190,7 @@ def run_reaper() -> None:
 
 
 def _read_messages(source: IO[bytes]) -> set[tuple[str, str]]:
-    """Read messages until the input ends, and return the processes and folders that are still watched."""
+    """Read messages until the input ends, and return category and name of processes and folders to clean up."""
     guarded: set[tuple[str, str]] = set()
     for line in source:
         # The last line may be truncated.

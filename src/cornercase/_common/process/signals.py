@@ -49,7 +49,7 @@ def count_requests() -> int:
 
 
 def is_termination_request(error: BaseException, n_requests_before: int) -> bool:
-    """Whether an exception of a plug-in was caused by a termination request, and not by the plug-in itself.
+    """Return whether an exception of a plug-in was caused by a termination request, and not by the plug-in itself.
 
     `n_requests_before` is the value of `count_requests` before the plug-in ran. This also works if the plug-in replaced
     the `KeyboardInterrupt` by another error. Outside `collect_interrupts` requests are not counted; then every
@@ -98,7 +98,7 @@ def _redeliver_interrupt() -> None:
 
 
 def pop_lost_interrupt() -> bool:
-    """Return whether an interrupt was lost, and cancel raising it again: the caller handles it."""
+    """Return whether an interrupt was lost, and cancel its redelivery, because the caller handles the interrupt."""
     global _is_lost_pending
     lost, _is_lost_pending = _is_lost_pending, False
     return lost
@@ -108,8 +108,8 @@ def pop_lost_interrupt() -> bool:
 def collect_interrupts() -> Iterator[Callable[[], None]]:
     """Within the block, remember interrupts whose exception is lost because compiled code calls back into Python.
 
-    Yields a function to call from time to time: it raises `KeyboardInterrupt` if an interrupt came since the last call.
-    It does nothing outside the main thread, or if the program handles the signal itself.
+    Yields a function to call from time to time. This function raises `KeyboardInterrupt` if an interrupt came since the
+    last call. Nothing is remembered outside the main thread, or if the program handles the signal itself.
     """
     global _is_counting
     usual_handlers = {signal.SIGINT: signal.default_int_handler, **dict.fromkeys(termination_signals(), _handle_signal)}
