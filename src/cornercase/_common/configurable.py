@@ -13,17 +13,17 @@ from cornercase._common.errors import InputError
 from cornercase._common.plugin_errors import unwrap_factory
 from cornercase._common.unknown_names import refuse_unknown
 
-# Where an object keeps the options that it was given.
+# Name of the attribute in which an object keeps the options that it was given.
 _GIVEN_OPTIONS: Final = "_given_options"
 
 
 class Configurable:
     """Base class of objects that are described by the options of their constructor.
 
-    `repr` is Python code that makes the object; `str` is its text on the command line. Two objects are equal if their
-    classes and options are equal. Constructors of subclasses are wrapped so that they store the options. `name` is the
-    name in the registry; it becomes the full text, such as ``"level-set:filling=0.1"``, if the object was made with
-    options. `options_outside_name` lists options that the text leaves out.
+    The `repr` of an object is Python code that makes the object; the `str` is the text for the command line. Two
+    objects are equal if their classes and options are equal. Constructors of subclasses are wrapped so that they store
+    the options. `name` is the name in the registry. If the object was made with options, `name` contains these options:
+    ``"level-set:filling=0.1"``. `options_outside_name` lists options that `name` leaves out.
     """
 
     name: str = ""
@@ -61,7 +61,7 @@ class Configurable:
         options = given_options(self) | changes
         positional = []
         if any(name in options for name in _positional_options(type(self))):
-            # A default before a given one cannot be left out.
+            # An argument before a positional argument that is given cannot be left out.
             parameters = signature(type(self)).parameters
             names = _positional_options(type(self))
             last = max(k for k, name in enumerate(names) if name in options)
@@ -73,24 +73,24 @@ class Configurable:
 
 
 def given_options(configured: object) -> dict[str, Any]:
-    """Return the options that an object was constructed with, except those that have their default value."""
+    """Return the options that an object was constructed with, except options with their default value."""
     # A subclass of a dataclass may have a constructor of its own.
     if is_dataclass(configured) and _GIVEN_OPTIONS not in getattr(configured, "__dict__", {}):
-        # Its constructor is made when the class exists already.
+        # The constructor of a dataclass is made after the class, so it is not wrapped.
         values = {field.name: getattr(configured, field.name) for field in fields(configured) if field.init}
         return _leave_out_defaults(type(configured), values)
     return dict(vars(configured).get(_GIVEN_OPTIONS, {}))
 
 
 def plain_options(configured: object) -> dict[str, bool | int | float | str]:
-    """Return the options of `given_options` that a text or JSON can hold."""
+    """Return the given options of an object whose values are of type bool, int, float or str."""
     return {
         name: value for name, value in given_options(configured).items() if isinstance(value, bool | int | float | str)
     }
 
 
 def numeric_options(configured: Configurable) -> dict[str, float]:
-    """Return the options of an object that are numbers, with their values: those that it was given, else defaults."""
+    """Return the numeric options of an object by name: given values, and defaults of the other options."""
     defaults = {name: parameter.default for name, parameter in declared_options(type(configured)).items()}
     values = {**defaults, **given_options(configured)}
     return {
@@ -115,9 +115,10 @@ def describe_as_text(configured: Configurable) -> str:
 def require_storable_options(
     configured: Configurable, described: Collection[str] = (), hint: str = "give numbers, texts, True or False"
 ) -> None:
-    """Raise `InputError` for an option that the text of an object leaves out, as a study could not compare it.
+    """Raise `InputError` if an option of an object has a value that a study cannot store and compare.
 
-    `described` are options that the study compares in another way; `hint` says what to do.
+    `described` names options that the study compares in another way. `hint` is a clause of the message that says what
+    to do.
     """
     stored = {*plain_options(configured), *configured.options_outside_name, *described}
     defaults = _factory_defaults(configured)
@@ -132,7 +133,7 @@ def require_storable_options(
 
 
 def _factory_defaults(configured: object) -> dict[str, Any]:
-    """Return new default values of the fields of a dataclass that a factory makes, such as an empty list."""
+    """Return the defaults of those fields of a dataclass that have a `default_factory`, such as an empty list."""
     own_fields = fields(configured) if is_dataclass(configured) and not isinstance(configured, type) else ()
     return {field.name: field.default_factory() for field in own_fields if field.default_factory is not MISSING}
 
@@ -164,7 +165,7 @@ def declared_options(factory: Callable[..., Any]) -> dict[str, Parameter]:
 
 
 def options_for_numbers(factory: Callable[..., Any]) -> list[str]:
-    """Return the names of the options of a class that take numbers, by their annotation or else their default."""
+    """Return the names of the options that take numbers, judged by annotation or, if missing, by default value."""
 
     def takes_numbers(parameter: Parameter) -> bool:
         if parameter.annotation is parameter.empty:
@@ -184,9 +185,9 @@ def annotated_types(annotation: object) -> set[str]:
 
 
 def with_numbers(configured: Any, numbers: Mapping[str, float]) -> Any:
-    """Return `with_options` of an object, with whole numbers where its constructor declares them.
+    """Return a copy of a configured object in which some options have new numbers.
 
-    Raises `ValueError` for a number that is not whole there.
+    Options that the constructor declares as int get an int. Raises `ValueError` if such a number is not whole.
     """
     declared = declared_options(type(configured))
     options: dict[str, float] = {}
@@ -201,9 +202,9 @@ def with_numbers(configured: Any, numbers: Mapping[str, float]) -> Any:
 
 
 def _remember_options(constructor: Callable[..., None]) -> Callable[..., None]:
-    """Wrap a constructor so that it stores its arguments in the object, and then the name that contains them.
+    """Wrap a constructor so that it also stores the given options, and the name with these options, in the object.
 
-    The error of an unknown argument says which one is meant.
+    The error for an unknown argument suggests the argument that is probably meant.
     """
     parameters = list(signature(constructor).parameters.values())
     takes_all = any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters)
@@ -214,14 +215,14 @@ def _remember_options(constructor: Callable[..., None]) -> Callable[..., None]:
         cls = type(self)
         if not takes_all:
             refuse_unknown(cls.__name__, names, options)
-        # A constructor may call that of its base class, which is wrapped too.
+        # A constructor may call the constructor of the base class, which is wrapped, too.
         if _GIVEN_OPTIONS in vars(self):
             constructor(self, *positional, **options)
             return
         given = dict(zip(signature(cls).parameters, positional, strict=False)) | options
         vars(self)[_GIVEN_OPTIONS] = _leave_out_defaults(cls, given)
         constructor(self, *positional, **options)
-        # Errors of the constructor say the short name; it may also choose its own.
+        # Set last, so that errors in the constructor show the short name. The constructor may also set a name.
         if given and "name" not in vars(self) and cls.name and isinstance(cls.name, str):
             self.name = describe_as_text(self)
 
@@ -239,7 +240,7 @@ def _leave_out_defaults(cls: type[Any], options: dict[str, Any]) -> dict[str, An
 
 
 def _is_equal(value: object, default: object) -> bool:
-    """Whether an option has its default value; False for arrays."""
+    """Return whether a value of an option equals the default; False for arrays."""
     try:
         return bool(value == default)
     except ValueError:

@@ -1,4 +1,4 @@
-"""Distrust the current folder: its modules are only run on request, and libraries read no settings from it."""
+"""Protection against the current folder: its modules are only run on request, and libraries read no settings there."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def _load_without_settings(load: Callable[[ModuleType], None]) -> Callable[[Modu
 
 
 def _redirect_settings(module: ModuleType) -> None:
-    """Make numba read its settings from its own folder; it looks for them at each compilation."""
+    """Make numba, which reads its settings file at each compilation, read the file in numba's own folder."""
     name = str(vars(module).get("_config_fname"))
     if name in _SETTINGS_FILES.values() and module.__file__ is not None:
         vars(module)["_config_fname"] = str(Path(module.__file__).with_name(name))
@@ -121,9 +121,9 @@ class _CurrentFolderFinder:
         return spec
 
     def _is_requested(self) -> bool:
-        """Whether the import was requested by the user, or by a module from the current folder.
+        """Return whether the import was requested by the user, or by a module from the current folder.
 
-        Other packages may try optional imports meanwhile; these must not find modules of the current folder.
+        Optional imports that other packages try meanwhile must not find modules of the current folder.
         """
         frame: FrameType | None = sys._getframe(2)
         while frame is not None and (name := _top_package(frame)) in _IMPORT_MACHINERY:
@@ -161,7 +161,7 @@ def import_from_current_folder(name: str) -> ModuleType:
 
 
 def unpickle_with_current_folder(content: bytes) -> Any:
-    """Unpickle bytes from another process of this program; the modules they need may be in the current folder."""
+    """Unpickle bytes from another process of this program; needed modules may be in the current folder."""
     import pickle
 
     with _import_from_current_folder():
@@ -184,7 +184,7 @@ def _isolate_spawned_children() -> Iterator[None]:
 
 
 def _preparation_data(data: dict[str, Any]) -> dict[str, Any]:
-    """Return what a child gets told: not to run the user's script again, and a search path without current folder."""
+    """Return the start data of a child process, without the user's script and without the current folder."""
     without_script = {name: value for name, value in data.items() if not name.startswith("init_main")}
     return {**without_script, "sys_path": _child_sys_path()}
 
@@ -193,10 +193,11 @@ _safe_child_start: Final = _SharedContext(_isolate_spawned_children)
 
 
 def isolate_children() -> AbstractContextManager[None]:
-    """Within the block, start `multiprocessing` children that neither run the main script nor search here for modules.
+    """Within the block, start child processes that neither run the main script nor import from the current folder.
 
-    So a script needs no ``if __name__ == "__main__"``; what it defines is sent by value. The current folder is not on
-    the `sys.path` of the children, unless PYTHONPATH or an installed package names it. Blocks may overlap.
+    This applies to `multiprocessing`. A script then needs no ``if __name__ == "__main__"``, and objects that the script
+    defines are sent by value. The current folder is not on the `sys.path` of the children, unless PYTHONPATH or an
+    installed package names the folder. Blocks may overlap.
     """
     return _safe_child_start()
 
@@ -232,7 +233,7 @@ def _child_sys_path() -> list[str]:
 
 
 def _named_folders() -> set[str]:
-    """Return the folders that PYTHONPATH names, or an installed package, such as an editable one."""
+    """Return the folders named by PYTHONPATH or by a .pth file of an installed package, such as an editable package."""
     names = [] if sys.flags.ignore_environment else os.environ.get("PYTHONPATH", "").split(os.pathsep)
     for installed in (*site.getsitepackages(), *((site.getusersitepackages(),) if site.ENABLE_USER_SITE else ())):
         for file in Path(installed).glob("*.pth"):

@@ -17,9 +17,9 @@ _MACHINE_ERRNOS: Final = {
 class InputError(ValueError):
     """Input that cannot be used.
 
-    The message is one sentence that names the file, the element and the fix. It puts a parameter of a public function
-    between backticks (```stop_when```), which the command line replaces by its option (``--stop-when``). The command
-    line prints the message and exits with code 2.
+    The message is one sentence that names the file, the element and the fix. Parameters of public functions stand
+    between backticks (```stop_when```). The command line replaces them by options (``--stop-when``), prints the message
+    and exits with code 2.
 
     Examples
     --------
@@ -33,7 +33,7 @@ class InputError(ValueError):
 
 
 class ExpressionError(InputError):
-    """A formula, a requirement or a condition that cannot be read.
+    """Formula, requirement or condition that cannot be read.
 
     Parameters
     ----------
@@ -64,9 +64,9 @@ class ExpressionError(InputError):
 
 
 class UserCodeError(InputError):
-    """The user's own code raised an exception, which is the `__cause__` of this one.
+    """Failure of the user's own code; the exception that this code raised is the `__cause__` of the error.
 
-    The message names the part, such as the optimizer or the metric, and the exception.
+    The message names the failed part, such as the optimizer or the metric, and the exception.
 
     Examples
     --------
@@ -79,11 +79,11 @@ class UserCodeError(InputError):
 
 
 class SimulationError(RuntimeError):
-    """One concrete scenario could not be run; the others of its batch are not affected.
+    """Failure of one concrete scenario that could not be run; other scenarios are not affected.
 
     Examples
     --------
-    A simulator of one's own yields it in place of a recording:
+    A simulator that you write yields this error in place of a recording:
 
     >>> import cornercase as cc
     >>> class WithoutRain(cc.Simulator):
@@ -99,11 +99,11 @@ class SimulationError(RuntimeError):
 
 
 class SimulatorError(SimulationError):
-    """The simulator failed, not the scenario; the same scenario may be run again.
+    """Failure of the simulator, not of the scenario; the same scenario may be run again.
 
     Examples
     --------
-    A simulator of one's own yields it in place of a recording:
+    A simulator that you write yields this error in place of a recording:
 
     >>> import cornercase as cc
     >>> class Remote(cc.Simulator):
@@ -119,22 +119,22 @@ class SimulatorError(SimulationError):
 
 
 class PluginError(SimulationError):
-    """A user's driver, simulator or metric raised an exception or gave an unusable result in one scenario."""
+    """Failure of a user's driver, simulator or metric in one scenario: an exception or an unusable result."""
 
 
 class StudyLostError(RuntimeError):
-    """The study that is being written was removed, replaced, or taken over by another process.
+    """Loss of the study that is being written: it was removed, replaced, or taken over by another process.
 
     The command line prints the message and exits with code 1.
     """
 
 
 class RunLostError(SimulatorError):
-    """Something outside ended a run: a signal, lack of memory or a full disk. The scenario may be run again."""
+    """Loss of a run due to a signal, lack of memory or a full disk; the scenario may be run again."""
 
 
 class NoticeWarning(UserWarning):
-    """A part of the input has no effect, or is read differently from how it is written.
+    """Warning that a part of the input has no effect, or is read differently from how it is written.
 
     Examples
     --------
@@ -147,7 +147,7 @@ class NoticeWarning(UserWarning):
 
 
 def is_machine_error(error: BaseException | None) -> bool:
-    """Whether an error, or its cause, is a fault of the machine: full or broken disk, no memory or no file handles."""
+    """Return whether an error or its cause is a fault of the machine, such as a full disk or lack of memory."""
     while error is not None:
         if isinstance(error, MemoryError) or (isinstance(error, OSError) and error.errno in _MACHINE_ERRNOS):
             return True
@@ -156,20 +156,20 @@ def is_machine_error(error: BaseException | None) -> bool:
 
 
 class short_errors(ContextDecorator):  # noqa: N801
-    """Context manager or decorator at the border of the API: the traceback of an `InputError` ends there.
+    """Context manager or decorator for public functions: hide the traceback inside cornercase of an `InputError`.
 
-    Causes are left out, unless the user's code or the machine is at fault.
+    The cause of the error is hidden, too, unless the user's code or the machine is at fault.
     """
 
     def edit(self, message: str) -> str:
-        """Return the message for the user."""
+        """Return the error message that the user sees, unchanged here; a subclass may change the message."""
         return message
 
     def __enter__(self) -> None:
         """Do nothing."""
 
     def __exit__(self, _: object, error: BaseException | None, traceback: object) -> None:
-        """Raise the error that the user sees."""
+        """Raise an `InputError` again, with the edited message and without its traceback."""
         if isinstance(error, InputError):
             error.args = (self.edit(str(error)), *error.args[1:])
             is_cause_of_interest = isinstance(error, UserCodeError) or is_machine_error(error)
@@ -178,7 +178,7 @@ class short_errors(ContextDecorator):  # noqa: N801
 
 @contextmanager
 def skip_if_not_enough_data() -> Iterator[None]:
-    """Suppress a `ValueError` in the block, which says that there are too few data; let an `InputError` pass."""
+    """Within the block, suppress a `ValueError`, which means too few data; an `InputError` still passes."""
     try:
         yield
     except InputError:

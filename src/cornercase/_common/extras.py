@@ -1,4 +1,4 @@
-"""What to say where an optional package is missing."""
+"""Advice for messages about a missing optional package."""
 
 from __future__ import annotations
 
@@ -6,7 +6,9 @@ import platform
 
 
 def describe_install(extra: str) -> str:
-    """Say, as a clause, how to install an extra, or that it holds nothing for this Python and machine.
+    """Describe in a clause how to install an extra (optional packages), or say that the extra is empty here.
+
+    An extra is empty if it contains no package for this version of Python and this machine.
 
     >>> print(describe_install("sumo"))
     install it with pip install 'cornercase[sumo]'
@@ -18,7 +20,7 @@ def describe_install(extra: str) -> str:
 
 
 def is_empty_extra(extra: str) -> bool:
-    """Tell whether an extra installs no package on this Python and machine; False if that is unknown."""
+    """Return whether an extra (optional packages) installs nothing on this Python and machine; False if unknown."""
     # Imported here: most commands need no extra.
     from importlib.metadata import PackageNotFoundError, requires
 

@@ -1,4 +1,4 @@
-"""Fast test of masks."""
+"""Fast test of whether a mask contains True."""
 
 from __future__ import annotations
 
@@ -8,5 +8,5 @@ from cornercase._common.typing import BoolArray
 
 
 def any_true(mask: BoolArray) -> bool:
-    """Whether any element of a mask is True; four times as fast as ``mask.any()``."""
+    """Return whether any element of a mask is True; four times as fast as ``mask.any()``."""
     return np.count_nonzero(mask) > 0

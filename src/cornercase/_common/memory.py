@@ -50,7 +50,7 @@ class MemoryLimit:
 
     @property
     def free_bytes(self) -> int:
-        """Return the bytes left for data: the limit minus the memory that Python and its libraries take."""
+        """Number of bytes left for data: the limit minus the memory that Python and its libraries take."""
         return self.size - _BASE_MEMORY
 
     def max_rows(self, bytes_per_row: float, *, share: float = 1.0) -> int:
@@ -65,11 +65,11 @@ class MemoryLimit:
                 yield slice(start, min(start + length, count))
 
     def fits(self, n_bytes: float) -> bool:
-        """Whether `n_bytes` bytes of data fit."""
+        """Return whether `n_bytes` bytes of data fit into the memory left for data."""
         return n_bytes <= self.free_bytes
 
     def check_fits(self, n_bytes: float, subject: str, advice: str) -> None:
-        """Raise `InputError` if `n_bytes` bytes do not fit.
+        """Raise `InputError` if `n_bytes` bytes of data do not fit into the memory left for data.
 
         The message says that `subject`, a plural noun, needs too much memory, and ends with `advice`.
         """

@@ -1,4 +1,4 @@
-"""Define each option once, as a field of a dataclass, for Python, the command line, files and documentation."""
+"""Options for Python, the command line, files and documentation, each defined once as a field of a dataclass."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from cornercase._common.validation import (
 )
 
 _LINE_LENGTH: Final = 110
-# End of the first clause of a text.
+# End of a clause.
 _CLAUSE: Final = re.compile(r"[;.:]( |$)")
 
 
@@ -32,7 +32,7 @@ class _Kind(NamedTuple):
     documentation: str
 
 
-# By annotation of the field, without None.
+# Types of options by the annotation of the field, without None.
 _KINDS: Final = {
     "str": _Kind(str, "str"),
     "Path | str": _Kind(Path, "path"),
@@ -53,7 +53,7 @@ _KINDS: Final = {
 
 @dataclass(frozen=True)
 class Option:
-    """Description of an option; `read_options` adds what the field of the dataclass says: name, type and default."""
+    """Description of an option; `read_options` adds the name, type and default of the dataclass field."""
 
     help: str
     """Help text on the command line; may use metavars."""
@@ -70,10 +70,11 @@ class Option:
     maximum: int | None = None
     choices: tuple[str, ...] = ()
     in_file: bool = True
-    """Whether a study file may contain the option; not if it can run code, start programs or name outputs."""
+    """True if a study file may contain the option; False if the option can run code, start programs or name outputs."""
     stored: str | Callable[[Any], Any] | None = None
-    """Where a study stores the value: name of a field of `StudyMeta`; ``"settings"`` for its field of that name;
-    ``"simulator"`` if the simulator reports it; a function that derives it from the `StudyMeta`; None if nowhere."""
+    """Source of the value in a stored study: the name of a field of `StudyMeta`; ``"settings"`` for an entry of the
+    field `settings`; ``"simulator"`` if the simulator reports the value; a function that derives the value from
+    `StudyMeta`; None if the study does not store the value."""
     name: str = ""
     annotation: str = ""
     """Type of the field, without None."""
@@ -92,27 +93,27 @@ class Option:
 
     @property
     def is_field_of_study(self) -> bool:
-        """Whether `StudyMeta` has a field that stores the option unchanged."""
+        """True if `StudyMeta` has a field that stores the option unchanged."""
         return isinstance(self.stored, str) and self.stored not in ("settings", "simulator")
 
     @property
     def is_list(self) -> bool:
-        """Whether the option can be repeated on the command line."""
+        """True if the option can be repeated on the command line."""
         return bool(self.command_type == list[str])
 
     @property
     def is_mapping(self) -> bool:
-        """Whether the option maps names to values; the command line takes NAME=VALUE."""
+        """True if the option maps names to values; the command line takes NAME=VALUE."""
         return self.annotation.startswith("Mapping")
 
     @property
     def has_numbers(self) -> bool:
-        """Whether the values of a mapping are numbers."""
+        """True if the option is a mapping whose values are numbers."""
         return self.annotation.endswith("float]")
 
     @property
     def documented_type(self) -> str:
-        """Type and default, as numpydoc writes them."""
+        """Type and default in the form of numpydoc: ``"int, default 10"``."""
         kind = _KINDS[self.annotation].documentation
         kind = f"{{{', '.join(map(_quote, self.choices))}}}" if self.choices else kind
         if self.default is ...:
@@ -121,7 +122,7 @@ class Option:
 
     @property
     def is_empty_by_default(self) -> bool:
-        """Whether the default is None, an empty tuple or an empty dict."""
+        """True if the default is None, an empty tuple or an empty dict."""
         return self.default in (None, (), {})
 
     def with_default_of(self, source: str) -> Option:
@@ -138,9 +139,9 @@ class Option:
         )
 
     def check(self, value: Any) -> Any:
-        """Check a value and return it in its final type; `InputError` names the option.
+        """Check a value and return it in the type of the option; raise `InputError` if the value is invalid.
 
-        None is valid if the default is empty.
+        None stands for the default if the default is None or an empty dict.
         """
         if value is None and self.default in (None, {}):
             return self.default
@@ -165,7 +166,7 @@ class Option:
                 | "StopRule | Sequence[StopRule | str]"
                 | "Metric | str | Sequence[Metric | str]"
             ):
-                # Rooms that know these objects check them.
+                # Packages that define these objects check them.
                 return value
         if not self.is_mapping:
             return check_str_sequence(self.name, value)
@@ -178,13 +179,13 @@ def _quote(value: object) -> str:
 
 
 def option(default: Any, text: str, **description: Any) -> Any:
-    """Return a dataclass field that describes an option; `text` is its help, and `default` may be a function."""
+    """Return a dataclass field that describes an option; `text` is the help text; a callable `default` is called."""
     values = {"default_factory": default} if callable(default) else {"default": default}
     return field(**values, metadata={"option": Option(text, **description)})
 
 
 def read_options(*groups: type[Any]) -> dict[str, Option]:
-    """Return the options that are fields of dataclasses, by name; these fields were made with `option`."""
+    """Return the options of dataclasses by name; only fields made with `option` are options."""
     return {
         item.name: replace(
             described := item.metadata["option"],
@@ -213,7 +214,7 @@ def check_options(function: str, options: Mapping[str, Option], given: Mapping[s
 
 
 def document_options(options: Mapping[str, Option]) -> Callable[[Function], Function]:
-    """Decorator that fills options into a numpydoc docstring.
+    """Return a decorator that writes options into the numpydoc docstring of a function.
 
     The line ``REQUIRED`` is replaced by the options without a default, the line ``OPTIONS`` by the others.
     """

@@ -33,14 +33,14 @@ _FIRST_WINDOWS_EXCEPTION_CODE: Final = 0xC0000000
 
 
 def count_available_cpus() -> int:
-    """Number of CPUs that this process may use."""
+    """Return the number of CPUs that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def user_cache_folder() -> Path:
-    """Folder for caches of the user's programs: ``XDG_CACHE_HOME`` if set, else that of the platform."""
+    """Return the folder for caches of the user's programs: ``XDG_CACHE_HOME``, or by default the platform's folder."""
     configured = os.environ.get("XDG_CACHE_HOME") or (os.environ.get("LOCALAPPDATA") if _WINDOWS else None)
     if configured:
         return Path(configured)
@@ -48,7 +48,7 @@ def user_cache_folder() -> Path:
 
 
 def new_file_mode() -> int:
-    """Permissions of a new file according to the umask."""
+    """Return the permissions of a new file according to the umask."""
     # The umask can only be read by setting it.
     mask = os.umask(0o077)
     os.umask(mask)
@@ -70,7 +70,7 @@ def replace_file(source: Path, target: Path) -> None:
 
 
 def can_rename_open_files() -> bool:
-    """Whether the platform can rename and replace a file that is open; Windows cannot."""
+    """Return whether the platform can rename and replace a file that is open; False on Windows."""
     return not _WINDOWS
 
 
@@ -108,7 +108,7 @@ def _fsync(path: Path, flags: int) -> None:
 
 @contextmanager
 def lock_folder(folder: Path) -> Iterator[None]:
-    """Lock a folder during the block without making a file; does nothing if the platform cannot."""
+    """Lock a folder during the block without making a file; without effect if the platform cannot lock folders."""
     with ExitStack() as stack:
         # Windows and some file systems cannot lock folders.
         with suppress(OSError, ImportError):
@@ -121,7 +121,7 @@ def lock_folder(folder: Path) -> Iterator[None]:
 
 
 def try_lock_file(handle: int) -> bool:
-    """Lock an open file, unless another process has; return whether it is locked. The lock ends with the process."""
+    """Try to lock an open file; return False if another process has locked it. The lock ends with this process."""
     try:
         if sys.platform == "win32":
             import msvcrt
@@ -180,13 +180,13 @@ def block_interrupts(*other_signals: signal.Signals) -> Iterator[None]:
 
 
 def search_libraries_in(folder: Path) -> None:
-    """Let shared libraries that are loaded from now on find others in a folder, if the platform does not do so."""
+    """On Windows, add a folder in which shared libraries find other libraries that they need; else do nothing."""
     if sys.platform == "win32":
         os.add_dll_directory(str(folder))
 
 
 def load_c_library() -> ctypes.CDLL:
-    """Return the C library of this process, such as for ``calloc`` and ``free``."""
+    """Return the C library of this process, which has functions such as ``calloc`` and ``free``."""
     return ctypes.CDLL("msvcrt" if _WINDOWS else None)
 
 
@@ -252,20 +252,20 @@ def kill_process_tree(process_id: int) -> None:
 
 
 def is_process_running(process_id: int) -> bool:
-    """Whether a process with this id is running."""
+    """Return whether a process with this id is running."""
     import psutil
 
     return psutil.pid_exists(process_id)
 
 
 def termination_signals() -> tuple[signal.Signals, ...]:
-    """Termination signals other than Ctrl-C: SIGTERM, SIGHUP (terminal closed), SIGBREAK (Windows)."""
+    """Return termination signals other than Ctrl-C: SIGTERM, SIGHUP (terminal closed), SIGBREAK (Windows)."""
     names = ("SIGTERM", "SIGHUP", "SIGBREAK")
     return tuple(getattr(signal, name) for name in names if hasattr(signal, name))
 
 
 def signal_main_thread(signal_number: int) -> None:
-    """Send a signal to the main thread; if the platform supports it, the thread stops waiting."""
+    """Send a signal to the main thread, which ends its waiting if the platform supports signals to threads."""
     if hasattr(signal, "pthread_kill"):
         signal.pthread_kill(threading.main_thread().ident or 0, signal_number)
     else:
@@ -273,9 +273,9 @@ def signal_main_thread(signal_number: int) -> None:
 
 
 def is_killed_externally(exit_code: int | None) -> bool:
-    """Whether the exit code of a `multiprocessing` process shows that a user or the system killed the process.
+    """Return whether the exit code of a `multiprocessing` process means that it was killed or ended from outside.
 
-    Always False on Windows.
+    Exit codes of crashes, such as that after SIGSEGV, do not count.
     """
     return (
         exit_code is not None
@@ -335,7 +335,7 @@ def count_unallocated_bytes(path: Path) -> int:
 
 
 def allocate_file(path: Path) -> None:
-    """Allocate the disk space of a sparse file, if the platform can; OSError if there is not enough space."""
+    """Allocate the disk space of a sparse file on Linux; OSError if there is not enough space."""
     if sys.platform == "linux":
         with path.open("r+b") as file:
             os.posix_fallocate(file.fileno(), 0, path.stat().st_size)

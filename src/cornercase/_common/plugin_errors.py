@@ -22,7 +22,7 @@ from cornercase._common.process.signals import collect_interrupts, count_request
 from cornercase._common.text.sanitize import remove_folders, shorten
 
 _PACKAGE_FOLDER: Final = str(Path(__file__).parents[1])
-# Limits of a description: lines of the traceback, and characters of a line, of the message and of all.
+# Limits of a description: lines of the traceback; characters of a line, of the message and of the whole text.
 _MAX_LINES: Final = 3
 _MAX_LINE_LENGTH: Final = 90
 _MAX_MESSAGE_LENGTH: Final = 200
@@ -32,11 +32,11 @@ _TIME_PATTERN: Final = re.compile(r" at t = (\d[\d.e+-]*) s\b")
 
 @contextmanager
 def convert_plugin_errors(name: str, plugin: object, activity: str = "") -> Iterator[None]:
-    """Turn exceptions of a plug-in in the block into `InputError`.
+    """Within the block, turn exceptions of a user's plug-in into `UserCodeError`.
 
-    The message begins with `name`, such as ``"The simulator 'braking'"``; `activity` says when it happened: ``"in
-    ask"``. An `InputError` and a request to end the program pass unchanged. So do exceptions of built-in plug-ins,
-    because they are bugs of cornercase.
+    The message begins with `name`, such as ``"The simulator 'braking'"``. `activity` says when the exception was
+    raised: ``"in ask"``. An `InputError` and a request to end the program pass unchanged. Exceptions of built-in
+    plug-ins pass unchanged, too, because they are bugs of cornercase.
     """
     with collect_interrupts():
         n_requests = count_requests()
@@ -58,18 +58,18 @@ def unwrap_factory(factory: Callable[..., object]) -> Callable[..., object]:
 
 
 def is_built_in(plugin: object) -> bool:
-    """Whether an object, or its class, comes with cornercase."""
+    """Return whether an object or its class comes with cornercase."""
     return str(getattr(plugin, "__module__", "")).partition(".")[0] == "cornercase"
 
 
 def make_scenario_failure(
     plugin_name: str, error: BaseException, n_requests_before: int, time: float | None = None
 ) -> SimulationError:
-    """Return the failure of a scenario that an exception of a plug-in caused.
+    """Return the error of a scenario in which a plug-in raised an exception.
 
-    It is a `RunLostError` (the scenario may be run again) if the machine is at fault, for example because the disk is
-    full. If the user asked the program to end, `KeyboardInterrupt` is raised instead. `n_requests_before` is the value
-    of `count_requests` before the plug-in ran.
+    The error is a `PluginError`, or a `RunLostError` (the scenario may be run again) if the machine is at fault, for
+    example because the disk is full. If the user asked the program to end, `KeyboardInterrupt` is raised instead.
+    `n_requests_before` is the value of `count_requests` before the plug-in ran.
     """
     reraise_termination_request(error, n_requests_before)
     message = f"{plugin_name} failed{format_time_of_failure(time)}: {describe_error(error)}"
@@ -77,7 +77,7 @@ def make_scenario_failure(
 
 
 def user_code_error(failure: PluginError) -> UserCodeError:
-    """Return the failure of a scenario as an error of the whole call."""
+    """Return the `UserCodeError` of a call that fails because a plug-in failed in a scenario."""
     return UserCodeError(f"{str(failure)[0].upper()}{str(failure)[1:]}.")
 
 
@@ -116,7 +116,8 @@ def describe_error(error: BaseException) -> str:
 def group_failure_messages(errors: Iterable[str]) -> dict[str, list[int]]:
     """Group failure messages that differ only in the time of the failure, the most frequent group first.
 
-    The result maps a message with the first and last time to the indices of the grouped messages.
+    The result maps the message of each group to the indices of its members in `errors`. If times differ, the message
+    states the earliest and the latest time.
     """
     texts = list(errors)
     groups: dict[str, list[int]] = {}

@@ -34,10 +34,11 @@ def format_duration(seconds: float) -> str:
 
 
 class ProgressBar:
-    """Shows progress, rate, remaining time and a status word: as a bar in a terminal or notebook, otherwise as lines.
+    """Display of progress, rate, remaining time and a status: a bar in terminals and notebooks, otherwise lines.
 
-    `activity` is what is done (``"exploring"``), `unit` what is counted (``"scenarios"``). `start_time` is the start by
-    `time.monotonic`; without it, the rate is measured from the first `update` on. It shows nothing unless `enabled`.
+    `activity` is a word such as ``"exploring"``, and `unit` is the noun for what is counted, such as ``"scenarios"``.
+    `start_time` is the start by `time.monotonic`; if it is None, the rate is measured from the first `update` on.
+    Nothing is shown unless `enabled`.
     """
 
     def __init__(
@@ -130,18 +131,18 @@ class _NotebookBar:
 
 
 def can_show_bar() -> bool:
-    """Whether a progress bar would be seen: in the kernel of a notebook, or in a terminal."""
+    """Return whether a progress bar can be seen, because the code runs in a notebook or a terminal."""
     return _is_in_notebook() or sys.stderr.isatty()
 
 
 def _is_in_notebook() -> bool:
-    """Whether the code runs in the kernel of a notebook."""
+    """Return whether the code runs in the kernel of a notebook."""
     ipython = sys.modules.get("IPython")
     return ipython is not None and "ipykernel" in sys.modules and ipython.get_ipython() is not None
 
 
 verbosity: ContextVar[Literal["quiet", "usual", "verbose"]] = ContextVar("loudness", default="usual")
-"""Which progress bars are shown: none, bars of long steps, or all."""
+"""Choice of progress bars that are shown: none (quiet), bars of long steps (usual), or all (verbose)."""
 
 _bars_enabled: ContextVar[bool] = ContextVar("wanted", default=False)
 

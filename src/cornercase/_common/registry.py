@@ -26,20 +26,20 @@ from cornercase._common.validation import not_an_object
 
 T = TypeVar("T")
 
-# Types to which an option's text is converted; without one of them, the text decides.
+# Types to which the text of an option is converted. If an option declares no such type, the text determines the type.
 _PLAIN_TYPES: Final[dict[str, type[Any]]] = {kind.__name__: kind for kind in (bool, int, float, str)}
 
 
 def entry_points(*, group: str, name: str | None = None) -> EntryPoints:
-    """Return the entry points of installed packages in a group, as importlib's function of this name."""
+    """Return the entry points of installed packages in a group, like `importlib.metadata.entry_points`, but cached."""
     of_group = _read_entry_points(group, tuple((folder, _modification_time(folder)) for folder in sys.path))
     return of_group if name is None else of_group.select(name=name)
 
 
 @lru_cache(maxsize=16)
 def _read_entry_points(group: str, folders: tuple[tuple[str, int | None], ...]) -> EntryPoints:
-    """Read the entry points of a group; a package that is installed or removed changes its folder."""
-    # Reading the files of some hundred packages takes as long as many a command.
+    """Read the entry points of a group; `folders` are import folders with modification times, as keys of the cache."""
+    # Reading the files of some hundred packages takes as long as a short command.
     return metadata.entry_points(group=group)
 
 
@@ -51,16 +51,16 @@ def _modification_time(folder: str) -> int | None:
 
 
 class Registry(Generic[T]):
-    """Maps names to factories, both from this package and from an entry-point group of other packages.
+    """Mapping of names to factories, both from this package and from an entry-point group of other packages.
 
     Parameters
     ----------
     kind : str
         What is registered, for messages: ``"metric"``.
     group : str
-        Entry-point group in which other packages register theirs: ``"cornercase.metrics"``.
+        Entry-point group in which other packages register their factories: ``"cornercase.metrics"``.
     base : type, optional
-        Class that each factory must be a subclass of, so that `get_class` finds its declarations.
+        Class from which each factory must be derived. Every factory is then a class, which `get_class` returns.
     """
 
     def __init__(self, kind: str, group: str, base: type[Any] | None = None) -> None:
@@ -76,7 +76,7 @@ class Registry(Generic[T]):
         ----------
         name : str
         factory : callable or str
-            ``"package.module:name"`` is imported when it is needed.
+            A text ``"package.module:name"`` is imported when the factory is needed.
         **options
             Fixed options of the factory.
 
@@ -85,7 +85,7 @@ class Registry(Generic[T]):
         ValueError
             The name is registered already.
         InputError
-            The factory is no subclass of the base class.
+            The factory is not a subclass of the base class.
         """
         if name in self._factories:
             raise ValueError(f"The {self._kind} '{name}' is registered twice.")
@@ -94,12 +94,12 @@ class Registry(Generic[T]):
         self._factories[name] = (factory, options)
 
     def export(self, values: Iterable[object]) -> dict[str, Any]:
-        """Return what another process has to `restore` to know the names that this program registered itself.
+        """Return registrations by the user's program, so that another process can `restore` them.
 
         Parameters
         ----------
         values : iterable of object
-            Names, with or without options; other objects need no registration.
+            Names, with or without options; other objects are skipped.
 
         Returns
         -------
@@ -109,7 +109,7 @@ class Registry(Generic[T]):
         return {name: self._factories[name] for name in names if name in self._factories and not self._is_own(name)}
 
     def restore(self, registrations: Mapping[str, Any]) -> None:
-        """Register what another process has exported.
+        """Register the names that another process has exported.
 
         Parameters
         ----------
@@ -119,12 +119,14 @@ class Registry(Generic[T]):
         self._factories = {**registrations, **self._factories}
 
     def check_own_name(self, instance: Any) -> None:
-        """Raise `InputError` if an object has the name of another registered class, whose results it would seem to be.
+        """Raise `InputError` if the name of an object belongs to another registered class.
+
+        Otherwise, results of the object would be taken for results of that class.
 
         Parameters
         ----------
         instance : object
-            Its attribute ``name`` may contain options after a colon.
+            The attribute ``name`` of the object may contain options after a colon.
 
         Raises
         ------
@@ -143,7 +145,7 @@ class Registry(Generic[T]):
             )
 
     def _is_own(self, name: str) -> bool:
-        """Whether cornercase registered a name."""
+        """Return whether a registered name belongs to a factory of cornercase, not of the user's program."""
         factory, _ = self._factories[name]
         return factory.startswith("cornercase.") if isinstance(factory, str) else is_built_in(unwrap_factory(factory))
 
@@ -180,9 +182,9 @@ class Registry(Generic[T]):
         Parameters
         ----------
         name : str or type
-            May contain options after a colon: ``"ttc:accelerating=true"``; the object then has the whole text as its
-            name. If the first parameter of the factory is positional-only, it gets the whole text after the colon:
-            ``"stl:always(clearance > 0.5)"``. A class need not be registered.
+            A name may contain options after a colon: ``"ttc:accelerating=true"``; the object then has the whole text as
+            its name. If the first parameter of the factory is positional-only, the parameter gets the whole text after
+            the colon: ``"stl:always(clearance > 0.5)"``. A class need not be registered.
         **options
             Further options of the factory.
 
@@ -229,7 +231,9 @@ class Registry(Generic[T]):
         return cast(T, configured)
 
     def takes_text(self, name: str | type[T]) -> bool:
-        """Return whether a factory gets the whole text after the colon, which may name a file or a program.
+        """Return whether a factory gets the whole text after the colon of a name as one argument.
+
+        Such a text may name a file or a program.
 
         Parameters
         ----------
@@ -250,7 +254,7 @@ class Registry(Generic[T]):
         ----------
         value : str or object
         parameter : str
-            Its name in messages.
+            Name of the parameter in error messages.
 
         Returns
         -------
@@ -315,7 +319,7 @@ class Registry(Generic[T]):
         return loaded
 
     def _require_known(self, name: str) -> None:
-        """Say how a class of the user's own gets a name if ``"module:Class"`` stands where a name has to."""
+        """Raise `InputError` for ``"module:Class"`` in place of a name; the message says how to register a class."""
         base, _, text = name.partition(":")
         if base not in self and text.isidentifier():
             raise InputError(
@@ -367,7 +371,7 @@ def parse_options(
     for option in text.split(","):
         key, equals, value = (part.strip() for part in option.partition("="))
         if not (key.isidentifier() and equals):
-            # What has no name may be the value of the first option.
+            # A text without a name may be the value of the first option.
             is_value = bool(declared and key and not equals) and key not in declared
             example = f"{next(iter(declared))}={key}" if is_value else "name=value"
             raise InputError(
@@ -392,7 +396,7 @@ def parse_options(
 
 
 def check_options(kind: str, name: str, factory: Callable[..., Any], options: Mapping[str, Any]) -> None:
-    """Raise `InputError` if an option is missing, or if the constructor does not take it."""
+    """Raise `InputError` if `options` lack a required option, or contain one that the constructor does not take."""
     try:
         declared = signature(factory)
     except ValueError:
@@ -422,7 +426,7 @@ def _plain_type(parameter: Parameter) -> type[Any] | None:
 
 
 def _parse_option_value(text: str, plain_type: type[Any] | None) -> bool | float | str:
-    """Parse the text of an option's value; the message of a ValueError says what its type accepts."""
+    """Parse the value of an option; the message of a ValueError is the expected kind of value, as ``"a number"``."""
     if plain_type is str:
         return text
     if text.lower() in ("true", "false") and plain_type in (bool, None):

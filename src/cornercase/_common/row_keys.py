@@ -21,9 +21,10 @@ def row_keys(points: FloatArray) -> list[bytes]:
 
 
 def no_duplicates(points: FloatArray, keys: Collection[bytes]) -> bool:
-    """Test quickly that all rows differ, and that no row has a key in `keys`.
+    """Return whether all rows of `points` differ from one another and from the rows with the given `keys`.
 
-    True is certain. False may be a hash collision, about once in 10 billion calls with 32,768 rows.
+    `points` has the shape (n, d); `keys` are those of `row_keys`. The result True is certain. The result False is wrong
+    after a hash collision, about once in 10 billion calls with 32,768 rows.
     """
     known_words = np.frombuffer(b"".join(keys), dtype=np.uint64).reshape(-1, points.shape[1])
     words = np.concatenate([np.ascontiguousarray(points, dtype=np.float64).view(np.uint64), known_words])

@@ -1,4 +1,4 @@
-"""Say which name is meant by an unknown argument or attribute; some are words of other libraries."""
+"""Errors for unknown arguments and attributes that suggest the right name, also for names from other libraries."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cornercase._common.errors import suggest_name
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 _WORKERS: Final = "give `runs=Runs(workers=…)`."
-# Arguments by what another library calls them: the option that takes their place, and what to say if it has another
+# Arguments of other libraries: their name there, the option to give instead, and a hint if the option has another
 # meaning.
 _ARGUMENT_SYNONYMS: Final = (
     ("callbacks", "stop", "call `explore` in a loop with a growing `budget`, and do there what a callback would."),
@@ -62,7 +62,7 @@ ATTRIBUTE_SYNONYMS: Final = {
 
 
 def unknown_attribute(owner: str, name: str) -> AttributeError:
-    """Return the error for an attribute that is missing, which says what is meant by a word of another library."""
+    """Return the `AttributeError` for a missing attribute, with a hint if the name is used by another library."""
     hint = ATTRIBUTE_SYNONYMS.get(name)
     return AttributeError(f"{owner} has no attribute '{name}'{'' if hint is None else f'; {hint}'}", name=name)
 
@@ -70,9 +70,10 @@ def unknown_attribute(owner: str, name: str) -> AttributeError:
 def refuse_unknown(
     function: str, options: Collection[str], given: Collection[str], other_names: Mapping[str, str] | None = None
 ) -> None:
-    """Raise `TypeError`, as Python does, if one of the keyword arguments is not an option of the function.
+    """Raise `TypeError`, as Python does, if a keyword argument in `given` is not an option of the function.
 
-    `other_names` maps names of other interfaces to those of the options.
+    The message suggests the option that is probably meant. `other_names` maps names that are used in other interfaces
+    to names of options.
     """
     for name in given:
         if name not in options:
@@ -88,7 +89,10 @@ def _describe_argument(name: str, options: Collection[str], other_names: Mapping
 
 
 def suggest_arguments(function: Function, other_names: Mapping[str, str] | None = None) -> Function:
-    """Decorator: the error of an unknown keyword argument says which one is meant; `other_names` as above."""
+    """Decorate a function so that the error for an unknown keyword argument suggests the right name.
+
+    `other_names` maps names that are used in other interfaces to names of arguments.
+    """
     parameters = [name for name in signature(function).parameters if name not in ("self", "cls")]
 
     @wraps(function)

@@ -102,13 +102,13 @@ def check_path(name: str, value: object) -> Path:
 
 
 def not_an_object(name: str, value: object, hint: str = "give an object or its name") -> InputError:
-    """Return the error for an argument that should be an object; for a class, it says how to make an object of it."""
+    """Return the `InputError` for an argument that has to be an object; for a class, advise to make an object."""
     if isinstance(value, type):
         return InputError(f"`{name}`: {value.__name__} is a class; give an object of it, as in {value.__name__}().")
     return InputError(f"`{name}` {repr_short(value)}: {hint}.")
 
 
 def repr_short(value: object) -> str:
-    """`repr` of a value for a message: on one line, at most 60 characters."""
+    """Return the `repr` of a value for a message, on one line and cut after 60 characters."""
     line = " ".join(repr(value).split())
     return line if len(line) <= _MAX_REPR_LENGTH else f"{line[:_MAX_REPR_LENGTH]}…"
