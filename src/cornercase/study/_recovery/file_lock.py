@@ -1,8 +1,9 @@
 """Lock a damaged study until it has been replaced, and check that it is still the file that was read.
 
-Nothing is written into the damaged file, not even a lease: if its pages are mixed up, writing could destroy the rest.
-Processes that take a lease or write a note need SQLite's write lock, so that lock is held; it ends with this process.
-Programs that copy or rename a file over the study need no lock, so the file is compared with the one that was read.
+Nothing is written into the damaged file, not even a lease (the row that names the writing process): if pages are mixed
+up, writing could destroy the rest. Processes that take a lease or write a note need SQLite's write lock, so this lock
+is held; it ends with this process. Programs that copy or rename a file over the study need no lock, so the file is
+compared with the file that was read.
 """
 
 from __future__ import annotations
@@ -43,7 +44,11 @@ class _FileState:
 
 
 class DamagedFileLock:
-    """Lock of a damaged study, held from before the file is read until it has been replaced; `path` is not a link."""
+    """Lock of a damaged study, with a check that the file has not changed since it was read.
+
+    Create the object before the file is read: state and SHA-256 of the file are noted then. `lock` acquires SQLite's
+    write lock, which ends when the file has been replaced. `path` must not be a symbolic link.
+    """
 
     def __init__(self, path: Path) -> None:
         self._path, self._log_path = path, path.with_name(path.name + "-wal")
@@ -86,7 +91,7 @@ class DamagedFileLock:
         self._require_unchanged(self._read_file_states() == self._initial_states)
 
     def require_unchanged(self) -> None:
-        """Raise `InputError` if the file has changed since it was read, so that nothing unread is replaced."""
+        """Raise `InputError` if the file has changed since it was read: the changes would be lost with the file."""
         # Closing a handle would release SQLite's lock.
         self._require_unchanged(
             self._read_file_states() == self._initial_states
@@ -95,7 +100,7 @@ class DamagedFileLock:
         self._require_unchanged(self._read_file_states() == self._initial_states)
 
     def set_path(self, path: Path) -> None:
-        """Follow the file to its new name, along with SQLite's files beside it."""
+        """Set the new path of the damaged file after it was renamed."""
         self._path = path
 
     def release_before_rename(self) -> None:

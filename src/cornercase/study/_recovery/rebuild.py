@@ -28,11 +28,12 @@ _SCENARIO_TABLES = ("courses", "repeats", "against")
 
 @dataclass(frozen=True)
 class RecoveredStudy:
-    """What was recovered of a damaged study, and what is lost.
+    """Description of the recovered and of the lost content of a damaged study.
 
     `rounds` maps scenario ids to rounds, 0 if unknown. `to_rerun` are the ids of scenarios that have to be run again.
-    `lost` describes in words what running scenarios cannot restore. `checksum_totals` maps tables to their known row
-    count and XOR of checksums. `is_count_known` says whether the original number of scenarios is known.
+    `lost` describes in words the content that no run of a scenario can restore. `checksum_totals` maps a table to its
+    row count and XOR of checksums, if these are known. `is_count_known` is True if the original number of scenarios is
+    known.
     """
 
     meta: StudyMeta
@@ -44,7 +45,7 @@ class RecoveredStudy:
 
 
 def rebuild_study(damaged: Path, output: Path) -> RecoveredStudy:
-    """Create a study at `output` from the intact rows of a damaged one, which is only read.
+    """Create a study at `output` from the intact rows of the study at `damaged`, which is only read.
 
     Scenarios that have to be run again are pending in the new study. `InputError` if the description of the study is
     lost.
@@ -96,10 +97,10 @@ def rebuild_study(damaged: Path, output: Path) -> RecoveredStudy:
 
 
 def _recover_checksum_totals(damaged: Path, rows_by_table: dict[str, RowsByKey]) -> dict[str, tuple[int, int]]:
-    """Return row count and XOR of checksums by table, for tables for which they are known.
+    """Return row count and XOR of checksums of each table for which they are known.
 
-    They were stored, or are counted if all pages of the table are intact. In an intact table, recovered rows that are
-    not part of the table had been deleted; they are removed from `rows_by_table`.
+    Both are known if they were stored, or if all pages of the table are intact. Recovered rows that are not part of an
+    intact table had been deleted before, so `rows_by_table` is reduced to the rows of the table.
     """
     tallies = {str(name): (int(rows), int(sums)) for name, rows, sums in rows_by_table["tallies"].values()}
     intact = set()
@@ -116,7 +117,7 @@ def _recover_checksum_totals(damaged: Path, rows_by_table: dict[str, RowsByKey])
 
 
 def _has_optional_table(meta: StudyMeta, table: str) -> bool:
-    """Tell whether a study with this description has an optional table."""
+    """Return whether a study with this description has an optional table."""
     return {"against": len(meta.others) > 1, "results": meta.asynchronous, "elsewhere": bool(meta.elsewhere)}[table]
 
 

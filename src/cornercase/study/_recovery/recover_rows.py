@@ -39,7 +39,7 @@ _PAGE_CACHE_SIZE: Final = 256
 
 
 class PageReader:
-    """Reads the pages of an SQLite file; `size` is the size of a page and `length` the size of the file, in bytes."""
+    """Reader of the pages of an SQLite file; `page_size` and `file_size` are in bytes, `len` is the number of pages."""
 
     def __init__(self, file: BinaryIO) -> None:
         self._file = file
@@ -47,7 +47,7 @@ class PageReader:
         file.seek(16)
         size = int.from_bytes(file.read(2), "big")
         size = 65536 if size == 1 else size
-        # An invalid page size is damaged.
+        # An invalid page size in the file is damaged, so the default is used.
         self.page_size = size if size >= 512 and not size & (size - 1) else _DEFAULT_PAGE_SIZE
         self.read_page = lru_cache(_PAGE_CACHE_SIZE)(self._read_page)
 
@@ -64,7 +64,7 @@ class PageReader:
 
 @contextmanager
 def open_pages(path: Path) -> Iterator[PageReader]:
-    """Open the pages of a study within the block."""
+    """Open a study file within the block, and yield a reader of its pages."""
     with path.open("rb") as file:
         yield PageReader(file)
 
@@ -77,12 +77,12 @@ def recover_rows(path: Path) -> dict[str, RowsByKey]:
 
 
 def has_intact_rows(path: Path) -> bool:
-    """Tell whether any row in a file has a valid checksum, which proves that cornercase wrote the file."""
+    """Return whether any row in a file has a valid checksum, which proves that cornercase wrote the file."""
     return any(True for _ in _scan_pages(path))
 
 
 def iter_intact_tables(path: Path) -> Iterator[tuple[str, RowsByKey]]:
-    """Yield name and rows of each table all of whose pages and rows are intact."""
+    """Yield name and rows of each table that has only intact pages and intact rows."""
     with suppress(sqlite3.Error, UnicodeDecodeError), closing(open_connection(path)) as connection:
         connection.execute("PRAGMA trusted_schema = OFF")
         for name in TABLES:
@@ -115,7 +115,7 @@ def _iter_table_rows(
 
 
 def _group_rows_by_key(stored_rows: Iterable[StoredRow]) -> tuple[dict[str, RowsByKey], dict[str, dict[Any, Any]]]:
-    """Group rows by table and key; also return the sort key of each table."""
+    """Group rows by table and key; also return the value to sort each row by, by table and key."""
     tables: dict[str, RowsByKey] = {name: {} for name in TABLES}
     order: dict[str, dict[Any, Any]] = {name: {} for name in TABLES}
     for table, number, values in stored_rows:
