@@ -52,7 +52,10 @@ def test_it_says_what_is_critical(scenario, arguments, criterion):
         ),
         ({"condition": "collision", "threshold": 1.0}, "`condition` defines .* leave `threshold` out"),
         ({"metrics": ["wttc", "distance"], "pareto": True, "threshold": 1.0}, "a Pareto front has no threshold"),
-        ({"weights": {"distance": 1.0}}, "^`weights` distance: `metrics` are wttc; name it there, too"),
+        (
+            {"weights": {"distance": 1.0}},
+            r"^`weights` distance: is not one of the `metrics` \(wttc\); add it to them, too",
+        ),
         ({"weights": {"wtc": 1.0}}, "^`weights` wtc: is not one of the metrics; did you mean 'wttc'"),
         ({"condition": cc.metrics.Expression.parse("ttc<1")}, 'is a formula, .* the language "condition"'),
         ({"condition": "collision with Ego"}, "^`condition` collision with Ego: names the ego itself"),

@@ -192,7 +192,7 @@ def test_recordings_may_lack_some_of_several_others(tmp_path):
         lines.append(f"{k}.csv,{gap}")
     (tmp_path / "parameters.csv").write_text("\n".join(lines) + "\n")
     given: dict[str, Any] = {"ego": "Ego", "metrics": ["clearance"]}
-    with pytest.raises(InputError, match=r"`other` C: none of the recordings has it"):
+    with pytest.raises(InputError, match=r"`other` C: none of the recordings has an entity of this name"):
         import_recordings(tmp_path, tmp_path / "s.db", other=["A", "C"], **given)
     assert import_recordings(tmp_path, tmp_path / "s.db", other="*", **given).done == 5
     with StudyFile.open(tmp_path / "s.db", readonly=False) as study:

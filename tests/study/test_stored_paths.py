@@ -323,7 +323,8 @@ def test_a_changed_file_of_the_same_name_does_not_hide_the_one_that_was_explored
         assert found_path(file) == Path(X.name)
         edit(other / X.name)
         with pytest.raises(
-            InputError, match=rf"{here / 'sub' / X.name}: the file, .* \(so have 1 more of this name\); re"
+            InputError,
+            match=rf"{here / 'sub' / X.name}: the file, .* \(further files of this name that differ: 1\); re",
         ):
             found_path(file)
         shutil.copytree(X.parent, explored)

@@ -313,7 +313,7 @@ def test_a_course_that_is_longer_than_its_recording_is_refused(sent):
     change(sent, (COURSE, (pack_arrays({"course": np.zeros(10_000)}),)))
     result = cornercase("export", sent, "-o", sent.parent / "tables")
     assert (result.returncode, len(result.stderr.strip().splitlines())) == (2, 1)
-    assert "10000 instants of distance in the scenario 1, of which the recording has 21" in result.stderr
+    assert "the course of distance in the scenario 1 has 10000 instants, and its recording has 21" in result.stderr
 
 
 def varies(sent, **values):

@@ -1,4 +1,4 @@
-"""Store everything that was run, and everything that was computed from it, in a study file."""
+"""Study files: all scenarios that were run, and all results that were computed from these scenarios."""
 
 import lazy_loader as lazy
 

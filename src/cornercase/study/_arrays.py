@@ -1,4 +1,4 @@
-"""Arrays of an analysis in the study file, in pieces because SQLite stores at most 1e9 bytes per value."""
+"""Arrays of an analysis in the study file, split into pieces because SQLite stores at most 1e9 bytes per value."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ _RowReader = Callable[..., list[Any]]
 DISTANCES: Final = "distances"
 """Name of the matrix of all pairwise distances; only its upper triangle is stored."""
 
-# Bytes of a piece before packing; small, so that little is in memory twice.
+# Bytes of a piece before packing; pieces are small, so that little memory is used twice.
 _PIECE_BYTES: Final = 1 << 25
 # Limit of bytes of an array other than distances.
 _MAX_ARRAY_BYTES: Final = 1 << 26
-# Larger arrays are compressed only if their first bytes become shorter by a tenth, which those of coordinates do not.
+# Larger arrays are compressed only if a sample becomes shorter by a tenth; a sample of coordinates does not.
 _ALWAYS_COMPRESSED_BYTES, _SAMPLE_BYTES, _WORTHWHILE_SHARE = 1 << 16, 1 << 14, 0.9
 # Rows mirrored at a time, so that both blocks stay in the processor's cache.
 _MIRROR_BLOCK_ROWS: Final = 256
@@ -42,7 +42,7 @@ def pack_array_pieces(
 ) -> Iterator[tuple[str, str, int, bytes]]:
     """Split the arrays of an analysis into pieces, and yield a database row for each piece.
 
-    A row is (analysis, array name, piece number from 0, archive).
+    A row is (analysis, array name, piece number from 0, bytes in NumPy's `.npz` format).
     """
     # Packing may make a piece a little longer.
     max_bytes = min(_PIECE_BYTES, connection.getlimit(sqlite3.SQLITE_LIMIT_LENGTH) // 2)
@@ -53,7 +53,7 @@ def pack_array_pieces(
 
 
 def _is_compressible(array: npt.NDArray[Any]) -> bool:
-    """Whether it is worth the time to compress an array."""
+    """Return whether an array becomes enough shorter to be worth the time that compressing takes."""
     if array.nbytes <= _ALWAYS_COMPRESSED_BYTES:
         return True
     sample = array.ravel()[: _SAMPLE_BYTES // array.itemsize].tobytes()
@@ -61,7 +61,7 @@ def _is_compressible(array: npt.NDArray[Any]) -> bool:
 
 
 def _split_rows(array: npt.NDArray[Any], max_bytes: int) -> Iterator[npt.NDArray[Any]]:
-    """Yield the array in slices of rows of at most `max_bytes`."""
+    """Yield slices of consecutive rows of an array, each of at most `max_bytes` if a row is not longer."""
     if array.ndim == 0 or array.nbytes <= max_bytes:
         yield array
         return
@@ -89,7 +89,7 @@ def read_arrays(
 ) -> dict[str, npt.NDArray[Any]]:
     """Read arrays of an analysis by name; call it within `reraise_as_damage`.
 
-    `n_scenarios` limits the size of the distance matrix: a damaged file could claim a huge one.
+    `n_scenarios` limits the size of the distance matrix, since a damaged file could demand a huge matrix.
     """
     return {
         name: _read_distance_matrix(read_rows, analysis, n_scenarios)
@@ -117,11 +117,11 @@ def _concatenate_pieces(pieces: list[npt.NDArray[Any]]) -> npt.NDArray[Any]:
 def _read_distance_matrix(read_rows: _RowReader, analysis: str, n_scenarios: int) -> npt.NDArray[Any]:
     """Rebuild the symmetric distance matrix from the pieces of its upper triangle."""
     n = len(_concatenate_pieces(list(_read_pieces(read_rows, analysis, "ids"))))
-    require_value(n <= n_scenarios, f"distances between {n} scenarios")
+    require_value(n <= n_scenarios, f"there are distances between {n} scenarios, but only {n_scenarios} scenarios")
     matrix: npt.NDArray[Any] | None = None
     row = 0
     for piece in _read_pieces(read_rows, analysis, DISTANCES):
-        require_value(piece.ndim == 1 and piece.dtype.kind == "f", "distances that are not numbers")
+        require_value(piece.ndim == 1 and piece.dtype.kind == "f", "its distances are not numbers")
         if matrix is None:
             matrix = np.zeros((n, n), piece.dtype)
         offset = 0
@@ -129,8 +129,8 @@ def _read_distance_matrix(read_rows: _RowReader, analysis: str, n_scenarios: int
             count = n - 1 - row
             matrix[row, row + 1 :] = piece[offset : offset + count]
             offset, row = offset + count, row + 1
-        require_value(offset == len(piece), "distances of other scenarios")
-    require_value(matrix is not None and row >= n - 1, "missing distances")
+        require_value(offset == len(piece), "its distances do not fit the number of scenarios")
+    require_value(matrix is not None and row >= n - 1, "some of its distances are missing")
     assert matrix is not None
     _mirror_upper_triangle(matrix)
     return matrix

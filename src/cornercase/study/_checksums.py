@@ -18,16 +18,16 @@ from cornercase.study._schema import TABLES, StudyTable
 
 
 def compute_row_checksum(table: str, values: Sequence[Any]) -> int:
-    """Return the CRC-32 of a table's name and the values of a row; the checksum of a blob stands for the blob.
+    """Return the CRC-32 of a table's name and the values of a row, with the checksum of a blob in place of the blob.
 
-    The values must be those that SQLite returns, which may differ in type from those that were inserted.
+    Use the values as SQLite returns them: their types may differ from the types of the inserted values.
     """
     # The same on all platforms and versions of Python, and much faster than hashing each value.
     return crc32(ascii((table, *values)).encode("ascii"))
 
 
 def with_checksums(table: str, row: Sequence[Any]) -> tuple[Any, ...]:
-    """Add the checksums to a row, in the column order of the file."""
+    """Return a row with its checksums added, in the column order of the file."""
     definition = TABLES[table]
     values: list[Any] = [float(value) if isinstance(value, float) else value for value in row]
     if definition.float_column is not None:
@@ -41,7 +41,7 @@ def with_checksums(table: str, row: Sequence[Any]) -> tuple[Any, ...]:
 
 
 def is_checksum_valid(table: str, stored_row: Sequence[Any]) -> bool:
-    """Tell whether a row from the file has valid checksums; the row may lack its blob."""
+    """Return whether a row from the file has valid checksums; the row may lack its blob."""
     definition = TABLES[table]
     count = len(definition.columns)
     if compute_row_checksum(table, stored_row[:count]) != stored_row[count]:
@@ -127,7 +127,7 @@ def _compute_totals(checksums: Sequence[int]) -> tuple[int, int]:
 
 
 def read_checksum_totals(connection: sqlite3.Connection, table: str) -> tuple[int, int]:
-    """Return the stored row count and XOR of checksums of a table; `DamageError` if they are damaged themselves."""
+    """Return the stored row count and XOR of checksums of a table; `DamageError` if these two numbers are damaged."""
     row = connection.execute("SELECT * FROM tallies WHERE name = ?", (table,)).fetchone()
     if row is None:
         return 0, 0

@@ -54,7 +54,7 @@ _RECORDING_ARRAYS: Final = ("time", "x", "y", "heading", "speed", "acceleration"
 
 
 def pack_arrays(arrays: Mapping[str, npt.ArrayLike], compress: bool = True) -> bytes:
-    """Make an archive of arrays; its bytes depend on the arrays alone."""
+    """Return an archive of arrays in `.npz` format; equal arrays always give equal bytes."""
     members = {f"{name}.npy": _encode_npy(np.asarray(array)) for name, array in arrays.items()}
     method = zipfile.ZIP_DEFLATED if compress else zipfile.ZIP_STORED
     if sum(map(len, members.values())) < _MAX_SIMPLE_BYTES and all(map(str.isascii, members)):
@@ -103,10 +103,10 @@ def _encode_npy_header(dtype: str, shape: tuple[int, ...]) -> bytes:
 def unpack_arrays(
     data: bytes, max_bytes: int = MAX_ARCHIVE_BYTES, names: Collection[str] | None = None
 ) -> dict[str, npt.NDArray[Any]]:
-    """Read arrays from an archive by name; all of them, or only those in `names`.
+    """Read arrays from an archive in `.npz` format, by name; `names` limits the arrays.
 
-    `InputError` if the bytes are not such an archive, if it holds anything but plain arrays, or if it would unpack to
-    more than `max_bytes`. A few bytes could otherwise claim to be gigabytes.
+    `InputError` if the bytes are not an archive of plain arrays, or if the archive would unpack to more than
+    `max_bytes`: otherwise a few bytes could unpack to gigabytes.
     """
     try:
         members = _list_zip_members(data)
@@ -125,7 +125,7 @@ def unpack_arrays(
 
 
 class _ZipMember(NamedTuple):
-    """The needed fields of `zipfile.ZipInfo`, with the same names."""
+    """Member of a ZIP archive, with those fields of `zipfile.ZipInfo` that are needed."""
 
     filename: str
     header_offset: int
@@ -214,7 +214,7 @@ def _decode_npy_header(header: bytes) -> tuple[Any, bool, np.dtype[Any]]:
 
 
 def pack_recording(recording: Recording) -> bytes:
-    """Make an archive of the arrays of a recording."""
+    """Return an archive of the arrays of a recording, in `.npz` format."""
     arrays: dict[str, npt.ArrayLike] = {name: getattr(recording, name) for name in _RECORDING_ARRAYS}
     arrays["names"], arrays["kinds"] = np.array(recording.names), np.array(recording.object_types)
     arrays["collision_time"] = np.array([c.time for c in recording.collisions], dtype=np.float64)
@@ -231,7 +231,10 @@ def unpack_recording(data: bytes) -> Recording:
     for name in _RECORDING_ARRAYS:
         array, shape = arrays[name], _expected_shape(name, n_entities, n_times)
         if array.dtype.kind not in "fiu" or array.shape != shape:
-            raise InputError(f"The study holds a recording whose {name} is {array.dtype} {array.shape}, not {shape}.")
+            raise InputError(
+                f"The study holds a recording whose {name} is an array of {array.dtype} of shape {array.shape}; it has"
+                f" to hold numbers and have the shape {shape}."
+            )
     if not n_times or not np.isfinite(arrays["time"]).all() or (np.diff(arrays["time"]) <= 0.0).any():
         raise InputError("The study holds a recording whose time does not increase.")
     names, kinds = tuple(map(str, arrays["names"])), tuple(map(str, arrays["kinds"]))

@@ -26,7 +26,7 @@ _UNREACHABLE_CODES: Final = {
 
 @contextmanager
 def reraise_sqlite_errors(path: Path) -> Iterator[None]:
-    """Turn SQLite errors in the block into an `InputError` of one sentence that names the study."""
+    """Turn each SQLite error in the block into an `InputError` whose message names the study."""
     try:
         yield
     except UnicodeDecodeError as error:
@@ -46,7 +46,7 @@ def reraise_sqlite_errors(path: Path) -> Iterator[None]:
 
 
 def is_unreachable_error(error: BaseException) -> bool:
-    """Tell whether an error means that SQLite could not open or lock the file; the content may then be intact."""
+    """Return whether an error means that SQLite could not open or lock the file, so that the content may be intact."""
     # Errors of Python's own module have no code. The lower byte is the primary code.
     return isinstance(error, sqlite3.Error) and vars(error).get("sqlite_errorcode", 0) & 0xFF in _UNREACHABLE_CODES
 
@@ -142,7 +142,7 @@ def require_sqlite_integrity(path: Path, connection: sqlite3.Connection) -> None
 def iter_sqlite_problems(connection: sqlite3.Connection, limit: int) -> Iterator[str]:
     """Yield the first `limit` problems that SQLite's integrity check finds."""
     text_factory = connection.text_factory
-    # It quotes damaged content, which may not be valid text.
+    # SQLite quotes damaged content, which may not be valid text.
     connection.text_factory = _decode_leniently
     try:
         for (line,) in connection.execute(f"PRAGMA integrity_check({limit})"):
@@ -157,7 +157,7 @@ def _decode_leniently(raw: bytes) -> str:
 
 
 def open_connection(path: Path, timeout: float = 30.0) -> sqlite3.Connection:
-    """Connect to an existing file; SQL statements wait up to `timeout` s for other writers."""
+    """Open a connection to an existing study file; SQL statements wait up to `timeout` s for other writers."""
     # In WAL mode a reader creates shared memory beside the file. If it cannot, nobody can write either.
     location = f"{path.resolve().as_uri()}?{'immutable=1' if is_read_only_file(path) else 'mode=rw'}"
     return sqlite3.connect(location, uri=True, timeout=timeout)
@@ -181,7 +181,7 @@ def require_same_file(path: Path, identity: tuple[int, int] | None) -> None:
 
 
 def is_read_only_file(path: Path) -> bool:
-    """Tell whether this process cannot write the file, and no process is writing it (there is no log)."""
+    """Return whether this process cannot write the file, and no SQLite log shows that another process is writing."""
     # SQLite would leave its log beside a read-only file, and keep the owner from writing.
     writable = os.access(path, os.W_OK) and os.access(path.parent, os.W_OK)
     return not writable and not path.with_name(path.name + "-wal").exists()
@@ -201,8 +201,8 @@ def require_single_link(path: Path) -> None:
 
 
 def remove_leftover_journals(path: Path) -> None:
-    """Remove SQLite's log and journal beside a study that no longer exists, left by a process that was killed."""
-    # SQLite would apply it to the new file.
+    """Remove the SQLite log and journal that a killed process left at a path, before a new study is created there."""
+    # SQLite would apply the old log to the new file.
     try:
         for ending in SQLITE_SUFFIXES:
             path.with_name(path.name + ending).unlink(missing_ok=True)

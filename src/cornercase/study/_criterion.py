@@ -1,4 +1,4 @@
-"""When a scenario is critical: a threshold of scores, and which side of it counts."""
+"""The criterion for critical scenarios: a threshold of scores, and the side of the threshold that is critical."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from cornercase._common.typing import BoolArray, FloatArray
 
 @dataclass(frozen=True)
 class Criterion:
-    """A threshold of scores, and which side of it is critical.
+    """Threshold of scores, with the side of the threshold that is critical.
 
     `threshold` is in `unit`, as users give it and studies store it. The methods take oriented scores, as models and
-    optimizers get them: lower is more critical, whatever side of the threshold is critical.
+    optimizers get them: the sign is changed if high scores are critical, so that lower is always more critical.
     """
 
     threshold: float
@@ -26,11 +26,11 @@ class Criterion:
 
     @property
     def oriented(self) -> float:
-        """The threshold of oriented scores."""
+        """Threshold of oriented scores (lower is more critical)."""
         return self.threshold if self.lower_is_critical else -self.threshold
 
     def margins(self, oriented_scores: FloatArray) -> FloatArray:
-        """Return how far scores are from being critical, of the same shape; negative if they are."""
+        """Return oriented scores minus the threshold, of the same shape; a score is critical if this is 0 or less."""
         return oriented_scores - self.oriented
 
     def is_critical(self, oriented_scores: FloatArray) -> BoolArray:

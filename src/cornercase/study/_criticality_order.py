@@ -13,10 +13,10 @@ from cornercase.metrics._outcome import Impact
 def order_by_criticality(oriented_scores: FloatArray, impacts: Sequence[Sequence[Impact]]) -> IntArray:
     """Return indices of scenarios, the most critical first, shape (n,).
 
-    Of scenarios with the same score, those in which the ego collides come first, and the faster its first collision the
-    earlier. `impacts` has the ego's collisions in each scenario.
+    Scenarios with the same score are sorted by the relative speed of the ego's first collision, the fastest first;
+    scenarios without a collision come last. `impacts` has the ego's collisions in each scenario.
     """
-    # NaN where an entity has no speed.
+    # The speed is NaN if an entity has no speed.
     speeds = np.array([np.nan_to_num(hits[0].speed) if hits else -1.0 for hits in impacts])
     order: IntArray = np.lexsort((-speeds, oriented_scores))
     return order

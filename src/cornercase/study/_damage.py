@@ -22,7 +22,7 @@ _READ_ERRORS: Final = (
 
 
 class DamageError(InputError):
-    """The content of a study differs from what was written."""
+    """Error raised if the content of a study differs from what was written."""
 
     @classmethod
     def from_problem(cls, path: Path, problem: str) -> DamageError:
@@ -32,7 +32,7 @@ class DamageError(InputError):
 
 @contextmanager
 def reraise_as_damage(path: Path) -> Iterator[None]:
-    """Turn any error in the block, which reads content of the study, into an `InputError` that names the study."""
+    """Turn each error that damaged content causes in the block into an `InputError` whose message names the study."""
     try:
         yield
     except DamageError:
@@ -48,7 +48,7 @@ def reraise_as_damage(path: Path) -> Iterator[None]:
 
 
 def require_value(condition: bool, message: str) -> None:
-    """Raise `ValueError` unless `condition` holds; call it within `reraise_as_damage`."""
+    """Raise `ValueError` with `message` unless `condition` holds; call it within `reraise_as_damage`."""
     if not condition:
         raise ValueError(message)
 
@@ -64,7 +64,7 @@ def dataclass_from_json(dataclass_type: type[T], values: Mapping[str, Any]) -> T
 # An analysis is made of hundreds of dataclasses, and Python compiles their annotations at each look.
 @cache
 def _allowed_types(dataclass_type: type[Any]) -> dict[str, tuple[Any, ...]]:
-    """Types that the values of a dataclass may have, of those whose type is checked."""
+    """Return the allowed types of each field of a dataclass; fields with nested types are left out."""
     allowed = {}
     for name, hint in get_type_hints(dataclass_type).items():
         # Nested types are not checked.

@@ -63,8 +63,8 @@ class Database:
     def create(cls, path: Path, meta: Iterable[tuple[str, str]], *extra_tables: str) -> Database:
         """Create a study file and open it for writing.
 
-        `meta` are the rows of the table of that name; `extra_tables` are names of optional tables. `InputError` if the
-        file exists or cannot be written.
+        `meta` are the rows of the table ``meta``; `extra_tables` are names of optional tables. `InputError` if the file
+        exists already or cannot be written.
         """
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -88,7 +88,11 @@ class Database:
 
     @classmethod
     def open(cls, path: Path, readonly: bool) -> Database:
-        """Open a file; `InputError` if it is no study of this schema version, or if another process writes to it."""
+        """Open a study file, for reading or for writing.
+
+        `InputError` if the file is not a study of this schema version. Unless `readonly`, also if another process is
+        writing to the study.
+        """
         require_nonempty_file(path)
         # Open it for reading first: a file that is not a study must not be written.
         reader = cls._open(path, for_writing=False)
@@ -129,7 +133,7 @@ class Database:
 
     @property
     def readonly(self) -> bool:
-        """Whether the file is open for reading only."""
+        """True if the file is open for reading only."""
         return self._lease is None
 
     def close(self) -> None:
@@ -184,7 +188,10 @@ class Database:
             yield from self.connection.execute(sql)
 
     def write_version(self) -> tuple[int, int]:
-        """Return two counters of writes: by other connections, and by this one. The content is the same if both are."""
+        """Return two counters: writes by other connections, and writes by this connection.
+
+        If both are unchanged, the content is unchanged, too.
+        """
         return int(self.query("PRAGMA data_version")[0][0]), self.connection.total_changes
 
     @contextmanager
@@ -272,9 +279,9 @@ def create_tables(connection: sqlite3.Connection, *extra_tables: str) -> None:
 
 @contextmanager
 def open_note_transaction(path: Path) -> Iterator[sqlite3.Connection]:
-    """Open a short transaction that needs no lease, so that notes can be written during an exploration.
+    """Open a short transaction that needs no lease (exclusive right), so that notes can be written during a search.
 
-    SQLite lets only one transaction write at a time; the other one waits.
+    SQLite lets only one transaction write at a time; another transaction waits.
     """
     reader = Database.open(path, readonly=True)
     can_write = reader.data_version() is not None

@@ -1,7 +1,7 @@
-"""What analysis, report and live page need of a recording: stored with it, so that they need not unpack it.
+"""Digests of recordings: values that analysis, report and live page need, stored so that no recording is unpacked.
 
-Except for `rounded`, a digest has no rounded values: whoever reads it gets what the recording would give. Only the
-series are downsampled, by a stride that the first recordings of the study decide.
+Except for `rounded`, the values of a digest are exact. Only series and courses are downsampled to every k-th instant;
+the first recordings of a study decide this stride k.
 """
 
 from __future__ import annotations
@@ -32,16 +32,16 @@ if TYPE_CHECKING:
     from cornercase.metrics._ending import Poses
 
 COURSE_POINTS: Final = 48
-"""Points of a course as a line of the page; the replay has all points."""
+"""Number of points of the line that the page draws of a course; the replay has all points."""
 MAX_INSTANTS: Final = 100
-"""Largest number of instants of a series of median length."""
+"""Number of instants to which a series of median length is downsampled at most."""
 N_STRIDE_RECORDINGS: Final = 32
 """Number of recordings, the first of a study, that decide the stride of the stored series."""
 
 Bounds = tuple[float, float, float, float]
 _Array = TypeVar("_Array", FloatArray, IntArray)
 
-# Columns of the stored series: time, position of the ego; then of each other one its position and its bearing.
+# Columns of the stored series: time and position of the ego; then position and bearing of each other entity.
 _EGO_COLUMNS: Final = slice(1, 3)
 _N_OTHER_COLUMNS: Final = 4
 _FIRST_OTHER_COLUMN: Final = 3
@@ -51,13 +51,14 @@ DIGEST_PARTS: Final[frozenset[DigestPart]] = frozenset(get_args(DigestPart))
 
 @dataclass(frozen=True, eq=False)
 class ScenarioDigest:
-    """Digest of the recording of one scenario and of its courses; M is the number of instants of downsampled series.
+    """Digest of one scenario: the values that analysis and report need of its recording and metric courses.
 
-    `begin` and `end` in s are those of its T instants; `bounds` are x_min, y_min, x_max, y_max of all reference points
-    in m, None if nothing exists. `outcomes` and `features` are those with each other entity of the study as the main
-    one. `series` are downsampled by `stride`, shape (M, 3 + 4 others); `courses` are downsampled, too, shape (M,
-    metrics); `lines` are capped courses at 48 evenly spaced times, shape (metrics, 48). `rounded` is the recording with
-    its capped courses as `encode_rounded` encodes it; empty if the package of a metric is missing.
+    `begin` and `end` are the first and the last instant in s. `bounds` are x_min, y_min, x_max, y_max of all reference
+    points in m; None if no entity exists. `outcomes` and `features` have an item for each other entity of the study.
+    `series` and `courses` are downsampled to M instants: every `stride`-th, and the last. `series` has the columns
+    time, position of the ego, and position and bearing of each other entity: shape (M, 3 + 4 others). `courses` has the
+    shape (M, metrics). `lines` are capped courses at 48 evenly spaced times, shape (metrics, 48). `rounded` is the
+    recording with its capped courses in the format of `encode_rounded`; empty if the package of a metric is missing.
     """
 
     n_instants: int
@@ -75,25 +76,28 @@ class ScenarioDigest:
 
     @property
     def time(self) -> FloatArray:
-        """Downsampled instants in s, shape (M,)."""
+        """Times of the M downsampled instants in s, shape (M,)."""
         return self.series[:, 0]
 
     @property
     def ego_position(self) -> FloatArray:
-        """Downsampled centre of the ego's box in m, shape (M, 2)."""
+        """Centre of the ego's box in m at the M downsampled instants, shape (M, 2)."""
         return self.series[:, _EGO_COLUMNS]
 
     def position_and_bearing(self, other_index: int) -> tuple[FloatArray, FloatArray]:
-        """Downsampled centre of another entity's box in m, and its direction from the ego; shape (M, 2) each."""
+        """Return two arrays of shape (M, 2) for another entity, at the M downsampled instants.
+
+        They are the centre of the entity's box in m, and the unit vector from the ego to the entity.
+        """
         first = _FIRST_OTHER_COLUMN + _N_OTHER_COLUMNS * other_index
         return self.series[:, first : first + 2], self.series[:, first + 2 : first + 4]
 
     def has_stride(self, stride: int) -> bool:
-        """Whether the stored series have all instants of series that are downsampled by `stride`."""
+        """Return whether the stored series contain every `stride`-th instant of the recording."""
         return stride % self.stride == 0
 
     def downsample(self, series: FloatArray, stride: int) -> FloatArray:
-        """Downsample stored series further, to `stride` instants of the recording."""
+        """Downsample stored series further, to every `stride`-th instant of the recording."""
         return downsample(series, stride // self.stride)
 
 
@@ -104,9 +108,9 @@ def make_digest(
     stride: int,
     metrics: Sequence[Metric] | None = None,
 ) -> ScenarioDigest:
-    """Make the digest of a recording and of the courses of the study's metrics, as far as there are any.
+    """Make the digest of a recording and its metric courses; the courses of missing metrics are NaN.
 
-    `metrics` are those of the study, by default created anew.
+    `metrics` are the metrics of the study, by default created from `meta`.
     """
     # Kernels take long to import, and readers of digests do not need them.
     from cornercase.metrics._ending import Poses, find_outcomes, measure_all_features
@@ -143,7 +147,10 @@ def make_digest(
 
 
 def _thin_series(recording: Recording, meta: StudyMeta, instants: IntArray, poses: Poses) -> FloatArray:
-    """Series of a digest at some instants, shape (M, 3 + 4 others); `poses` are those of the recording."""
+    """Return the series of a digest at M instants, given as indices, shape (M, 3 + 4 others).
+
+    The columns are time, position of the ego, and position and bearing of each other entity.
+    """
     centers = np.array([poses.x, poses.y])
     if np.isfinite(centers).all() and np.isfinite(recording.heading).all():
         i = recording.entity_index(meta.ego)
@@ -163,7 +170,7 @@ def _thin_series(recording: Recording, meta: StudyMeta, instants: IntArray, pose
 
 
 def create_metrics(meta: StudyMeta) -> tuple[Metric, ...]:
-    """Create the metrics of a study; none if one is unknown."""
+    """Create the metrics of a study; return an empty tuple if any metric is unknown."""
     try:
         return meta.create_metrics()
     except InputError:
@@ -171,7 +178,7 @@ def create_metrics(meta: StudyMeta) -> tuple[Metric, ...]:
 
 
 def downsampling_stride(lengths: Sequence[int]) -> int:
-    """Return the stride, at least 1, that leaves at most 100 instants of a series of median length."""
+    """Return the stride, at least 1, that downsamples a series of the median of `lengths` to about 100 instants."""
     return max(1, math.ceil(float(np.median(lengths)) / MAX_INSTANTS))
 
 
@@ -196,7 +203,7 @@ def resample_course(time: FloatArray, course: Float32Array, lower_is_critical: b
 
 
 def find_bounds(recording: Recording) -> Bounds | None:
-    """Bounding box of all reference points; None if nothing exists."""
+    """Return x_min, y_min, x_max, y_max of all reference points in m; None if no entity exists."""
     bounds = []
     for values in (recording.x, recording.y):
         # These ignore NaN as long as there is any number.
@@ -212,16 +219,16 @@ def find_bounds(recording: Recording) -> Bounds | None:
 
 
 def measure_registered_features(recording: Recording, meta: StudyMeta) -> FloatArray:
-    """Registered features of a recording, shape (f,)."""
+    """Compute the f registered features of a recording, shape (f,)."""
     entities = recording.with_absent_entities((meta.ego, *meta.others))
     features: FloatArray = compute_features([entities], meta.ego, meta.others)[0]
     return features
 
 
 def encode_digest(digest: ScenarioDigest, features: FloatArray) -> tuple[str, bytes]:
-    """Encode a digest as facts in JSON and packed arrays.
+    """Encode a digest as a JSON text (its facts) and an archive of arrays.
 
-    `features`, shape (f,), are the registered ones.
+    `features` are the f registered features of the recording, shape (f,).
     """
     facts = {
         "instants": digest.n_instants,
@@ -273,12 +280,12 @@ def _encode_encounter(encounter: PathRelation) -> list[Any]:
 
 
 def _encode_float(value: float) -> float | None:
-    """JSON has no NaN."""
+    """Return the number, or None for NaN, which JSON has not."""
     return None if math.isnan(value) else value
 
 
 def decode_facts(facts: str) -> dict[str, Any]:
-    """Parse the facts of a digest; call it within `reraise_as_damage`."""
+    """Parse the facts (the JSON text) of a digest; call it within `reraise_as_damage`."""
     return dict(parse_json(facts))
 
 
@@ -288,8 +295,8 @@ def decode_collisions(facts: Mapping[str, Any]) -> tuple[Collision, ...]:
 
 
 def decode_impacts(facts: Mapping[str, Any]) -> tuple[Impact, ...]:
-    """Return the collisions of the ego, by time, from the facts of a digest."""
-    # They are the same for each other entity of the study.
+    """Return the collisions of the ego, in the order of time, from the facts of a digest."""
+    # The collisions are the same for each other entity of the study.
     return _decode_impacts(facts["endings"][0])
 
 
@@ -305,7 +312,7 @@ def _decode_fault(fault: Sequence[Any] | None = None) -> Fault | None:
     if fault is None:
         return None
     who, conflict, (side, other_side), point, reasons = fault
-    require_value(who in get_args(Culprit), "whose fault a collision is")
+    require_value(who in get_args(Culprit), "it is unclear whose fault a collision is")
     contact_point = None if point is None else (float(point[0]), float(point[1]))
     return Fault(who, cast(Conflict, str(conflict)), (side, other_side), contact_point, tuple(map(str, reasons)))
 
@@ -316,14 +323,15 @@ def decode_digest(
     meta: StudyMeta,
     parts: Collection[DigestPart] = DIGEST_PARTS,
 ) -> ScenarioDigest:
-    """Decode a digest, without its features; raise `ValueError` if it does not fit the study.
+    """Decode a digest without the registered features; raise `ValueError` if it does not fit the study.
 
-    Only the arrays in `parts` are decoded; the others are empty.
+    Only the arrays in `parts` are decoded; other arrays are empty.
     """
     arrays = unpack_arrays(packed, names=parts)
     n_instants, stride, collisions = facts["instants"], facts["stride"], decode_collisions(facts)
     require_value(
-        isinstance(n_instants, int) and isinstance(stride, int) and n_instants > 0 and stride > 0, "a digest's length"
+        isinstance(n_instants, int) and isinstance(stride, int) and n_instants > 0 and stride > 0,
+        "the length of a digest is not valid",
     )
     count = len(range(0, n_instants - 1, stride)) + 1
     n_metrics = len(meta.metrics)
@@ -336,9 +344,12 @@ def decode_digest(
         if name not in parts:
             arrays[name] = np.empty((0, shape[1]))
         else:
-            require_value(arrays[name].shape == shape and arrays[name].dtype == np.float64, f"a digest's {name}")
+            require_value(
+                arrays[name].shape == shape and arrays[name].dtype == np.float64,
+                f"the {name} of a digest have a wrong shape or type",
+            )
     endings = facts["endings"]
-    require_value(len(endings) == len(meta.others), "a digest's endings")
+    require_value(len(endings) == len(meta.others), "a digest has endings for other entities")
     begin, end = map(float, facts["time"])
     return ScenarioDigest(
         n_instants=n_instants,
@@ -364,23 +375,25 @@ def decode_rounded(arrays: Mapping[str, npt.NDArray[Any]]) -> bytes:
 
 
 def decode_features(packed: bytes, checksum: int) -> FloatArray | None:
-    """Return the features among the arrays of a digest, shape (f,); None if it has none with this checksum.
+    """Return the f registered features in the archive of a digest, shape (f,).
 
-    `ValueError` if they are not one finite number each.
+    None if the archive has no features, or if `checksum` shows that other features were registered. `ValueError` unless
+    each feature is one finite number.
     """
     arrays = unpack_arrays(packed, names=("features", "features_checksum"))
     if not arrays or int(arrays["features_checksum"]) != checksum:
         return None
     features: FloatArray = arrays["features"]
     require_value(
-        features.shape == (len(registered_features()),) and features.dtype == np.float64, "a digest's features"
+        features.shape == (len(registered_features()),) and features.dtype == np.float64,
+        "the features of a digest have a wrong shape or type",
     )
-    require_value(bool(np.isfinite(features).all()), "a digest's features")
+    require_value(bool(np.isfinite(features).all()), "the features of a digest are not finite")
     return features
 
 
 def registered_features_checksum() -> int:
-    """CRC-32 of the names of all registered features."""
+    """Return the CRC-32 of the names of all registered features."""
     return crc32("\n".join(feature.name for feature in registered_features()).encode())
 
 

@@ -1,7 +1,8 @@
 """Detect that the file of an open study was moved, removed or overwritten by another program.
 
 SQLite does not notice if another file is copied over the study, and goes on with the pages in its cache. So the file
-itself is searched for the lease of this writer: once a second, and whenever the file has changed.
+itself is searched for the lease, the row that names this process as the writer: once a second, and whenever the file
+has changed.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ _RETRY_DELAY: Final = 0.02
 
 
 class StudyFileGuard:
-    """Watches the file of a study that is open for writing, and SQLite's files beside it."""
+    """Guard of a study that is open for writing: detects that the file was moved, removed or overwritten."""
 
     def __init__(self, path: Path, connection: sqlite3.Connection, lease: Lease) -> None:
         self._path, self._connection, self._lease = path, connection, lease
@@ -37,14 +38,14 @@ class StudyFileGuard:
         self._lease_was_in_file = self._is_lease_in_file() is True
 
     def require_not_moved(self) -> None:
-        """If the path leads to another file or to none, close the connection and raise `StudyLostError`."""
+        """If the path no longer leads to the opened file, close the connection and raise `StudyLostError`."""
         if self._is_in_place():
             return
         change = "it was replaced by another file" if self._path.exists() else "it was removed"
         self._close_moved_file()
         raise StudyLostError(
-            f"{self._path}: {change} while this command was writing to it; what it stored is no longer under this"
-            " name. If you moved the study, move it back; then run the same command again."
+            f"{self._path}: {change} while this command was writing to it; what the command stored is no longer"
+            " under this name. If you moved the study, move it back; then run the same command again."
         )
 
     def require_not_overwritten(self, force: bool) -> None:
@@ -56,8 +57,8 @@ class StudyFileGuard:
             return
         self._close_overwritten_file()
         raise StudyLostError(
-            f"{self._path}: it was overwritten or truncated while this command was writing to it; what it"
-            " stored is lost. Check the file with `verify`, and run the same command again, into another"
+            f"{self._path}: it was overwritten or truncated while this command was writing to it; what the"
+            " command stored is lost. Check the file with `verify`, and run the same command again, into another"
             " study."
         )
 
@@ -80,7 +81,7 @@ class StudyFileGuard:
             return True
 
     def _is_lease_in_file(self) -> bool | None:
-        """Search the file itself for the lease, without SQLite's cache; None if the file cannot be opened."""
+        """Return whether the file itself, read without SQLite's cache, holds the lease; None if it cannot be opened."""
         # Use SQLite, since closing a handle of another kind would release its locks.
         location = f"{self._path.resolve().as_uri()}?immutable=1"
         for attempt in range(_ATTEMPTS):

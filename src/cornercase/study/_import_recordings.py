@@ -35,10 +35,10 @@ from cornercase.study._study_file import StudyFile, open_or_create_study
 from cornercase.study._write_tables import FILE_COLUMN, PARAMETER_TABLE
 
 IMPORTED_SIMULATOR: Final = "imported"
-"""Simulator of a study whose recordings come from files."""
+"""Name that stands for the simulator in a study of imported recordings."""
 
 _MAX_CHOICES: Final = 50
-# Of the table that `export` writes.
+# First columns of the table that `export` writes.
 _EXPORT_COLUMNS: Final = ["id", "round", "state"]
 
 
@@ -49,14 +49,14 @@ class ImportResult:
     Attributes
     ----------
     study : Path
-        The study.
+        Path of the study.
     done : int
         Number of recordings that could be read and measured.
     failed : int
-        Number of recordings that could not.
+        Number of recordings that could not be read or measured.
     reason : str
         Why the first of the failed recordings could not be used, in a sentence; empty if none failed. The study stores
-        the reason of each.
+        the reason for each failed recording.
 
     Examples
     --------
@@ -94,8 +94,8 @@ def import_recordings(
     Parameters
     ----------
     folder : path
-        Folder with the recordings, in any format that `cornercase.recordings.read_recording` reads; also one that
-        `Study.export` wrote.
+        Folder with the recordings, in any format that `cornercase.recordings.read_recording` reads. It may be a folder
+        that `Study.export` wrote.
     study : path
         Study to write.
     ego : str
@@ -110,7 +110,7 @@ def import_recordings(
         ``parameters.csv`` in the folder. A column of numbers becomes a range from its minimum to its maximum, any other
         column a set of choices.
     critical : float, optional
-        Threshold of the first metric; by default that of the metric.
+        Threshold of the first metric; by default the default threshold of this metric.
     progress : bool, default False
         Show a progress bar.
 
@@ -121,7 +121,7 @@ def import_recordings(
     Raises
     ------
     InputError
-        The table cannot be used, no recording can be read and measured, or the study belongs to something else.
+        The table cannot be used, no recording can be read and measured, or the study exists and has other content.
 
     Examples
     --------
@@ -143,8 +143,8 @@ def import_recordings(
         above = folder.resolve().parent
         hint = f"name the folder above, {above}, which has one" if (above / PARAMETER_TABLE).exists() else "write one"
         raise InputError(
-            f"{folder}: has no {PARAMETER_TABLE} with the parameter values of each recording; {hint}, or name it with"
-            " `table`."
+            f"{folder}: has no {PARAMETER_TABLE} with the parameter values of each recording; {hint}, or name"
+            " another table with `table`."
         )
     table = folder / PARAMETER_TABLE if table is None else validation.check_path("table", table)
     files, values = _read_parameter_table(folder, table)
@@ -185,7 +185,7 @@ def import_recordings(
 
 
 def _resolve_others(other: object, ego: str, files: Sequence[Path]) -> tuple[str, ...]:
-    """Return the names of the entities that the ego is measured against; "all" means all entities in the recordings."""
+    """Return the names of the entities that the ego is measured against; "*" means all entities in the recordings."""
     names = resolve_others(other, ego, (ALL_OTHERS,))
     if len(names) == 1 and ALL_OTHERS not in names:
         return names
@@ -199,7 +199,10 @@ def _resolve_others(other: object, ego: str, files: Sequence[Path]) -> tuple[str
     # A name that no recording has is misspelt; others may lack it.
     for name in names:
         if name != ALL_OTHERS and name not in found_names:
-            raise InputError(f"`other` {name}: none of the recordings has it; {suggest_name(name, list(found_names))}")
+            raise InputError(
+                f"`other` {name}: none of the recordings has an entity of this name;"
+                f" {suggest_name(name, list(found_names))}"
+            )
     return resolve_others(other, ego, list(found_names))
 
 
@@ -235,7 +238,7 @@ def _measure_recording(study: StudyFile, row: ScenarioRecord, file: Path, metric
 
 
 def _read_parameter_table(folder: Path, table: Path) -> tuple[list[str], list[dict[str, Value]]]:
-    """Read the CSV table of recordings: return file names, and parameter values for each file."""
+    """Read the CSV table of recordings, and return the file names and the parameter values for each file."""
     try:
         reader = csv.DictReader(io.StringIO(read_file(table).decode("utf-8-sig"), newline=""))
         names = list(reader.fieldnames or ())
@@ -294,7 +297,10 @@ def _infer_space(values: Sequence[dict[str, Value]]) -> ParameterSpace:
             continue
         choices = tuple(sorted({str(text) for text in column}))
         if len(choices) > _MAX_CHOICES:
-            raise InputError(f"The parameter '{name}' has {len(choices)} different texts; leave it out.")
+            raise InputError(
+                f"The parameter '{name}' has {len(choices)} different texts, more than {_MAX_CHOICES}; leave its"
+                " column out of the table."
+            )
         parameters.append(Parameter(name, 0.0, float(len(choices) - 1), None, choices))
     return ParameterSpace(parameters).require_parameters()
 

@@ -71,12 +71,13 @@ class Lease:
         """Raise `StudyLostError` if another process has taken over the study; call it within a transaction."""
         if not self.is_held(connection):
             raise StudyLostError(
-                f"{self.path}: another cornercase took over this study, because this one seemed to have ended. What was"
-                " stored until then is kept. Run the same command again when the other one has ended."
+                f"{self.path}: another cornercase process took over this study, because this process seemed to have"
+                " ended. Everything stored until then is in the study. Run the same command again when the other process"
+                " has ended."
             )
 
     def is_held(self, connection: sqlite3.Connection) -> bool:
-        """Tell whether the file of a connection still stores this lease."""
+        """Return whether the file of a connection still stores this lease."""
         return connection.execute("SELECT 1 FROM lease WHERE token = ?", (self.token,)).fetchone() is not None
 
     def abandon(self) -> None:
@@ -93,7 +94,7 @@ class Lease:
         if (os.getpid(), self.token) not in _held_tokens:
             return
         _held_tokens.discard((os.getpid(), self.token))
-        # If it cannot be deleted, it expires with this process.
+        # A row that cannot be deleted expires with this process.
         with suppress(sqlite3.Error):
             if connection is not None:
                 _delete_lease_row(connection, self.token)
@@ -130,7 +131,7 @@ def _delete_lease_row(connection: sqlite3.Connection, token: str) -> None:
 
 
 def _is_holder_alive(row: tuple[Any, ...]) -> bool:
-    """Tell whether the process that a row of the table ``lease`` names is alive."""
+    """Return whether the process that a row of the table ``lease`` names is alive."""
     token, host, machine, pid, began, beat = row
     is_valid = all(isinstance(value, str) for value in (token, host, machine)) and isinstance(pid, int)
     if not is_valid or not all(isinstance(value, float) for value in (began, beat)):

@@ -42,7 +42,7 @@ _DIFFERENCE_TEXTS: Final = {
     "suite": "other files, or files that have changed since",
 }
 
-# Whose values are short enough for a message.
+# Fields with values that are short enough for a message.
 _COMPARED_VALUES: Final = ("ego", "other", "metrics", "optimizer", "seed", "batch", "repeats", "most_repeats", "audit")
 
 _FIELD_TYPES: Final[dict[str, Any]] = (
@@ -71,12 +71,15 @@ MAX_AUDIT_FRACTION: Final = 0.5
 
 
 def count_audits(audit_fraction: float, n_scenarios: int) -> int:
-    """Return how many of the first `n_scenarios` of a study are audits, if `audit_fraction` of all scenarios are."""
+    """Return how many of the first `n_scenarios` of a study are audits (scenarios drawn at random as a check).
+
+    `audit_fraction` is the fraction of audits among all scenarios.
+    """
     return math.floor(audit_fraction * n_scenarios + 1e-9)
 
 
 def metric_fields(metrics: Iterable[Metric]) -> dict[str, Any]:
-    """Return the fields of a `StudyMeta` that describe its metrics."""
+    """Return the fields of a `StudyMeta` that describe metrics, ``metrics`` and ``own_metrics``, by name."""
     described = {metric.name: describe_own_metric(metric) for metric in metrics}
     own = {name: description for name, description in described.items() if description is not None}
     return {"metrics": tuple(described), "own_metrics": own}
@@ -97,8 +100,8 @@ class StudyMeta:
         Path of the scenario file, of the folder of imported recordings, or of a suite. It is relative to the folder of
         the study, or only a name.
     fingerprint : str
-        SHA-256 of the scenario file and all files that it uses, or of the imported files. For a suite, that of its
-        first scenario file.
+        SHA-256 of the scenario file and all files that it uses, or of the imported files. For a suite, SHA-256 of the
+        first scenario file and all files that it uses.
     space : ParameterSpace
         The parameter space.
     ego : str
@@ -108,9 +111,9 @@ class StudyMeta:
     metrics : tuple of str
         Names of the metrics; the first one is the objective.
     own_metrics : mapping of str to mapping
-        What reading needs of each metric whose class does not come with cornercase, by name: ``class``, ``unit``,
-        ``lower_is_critical``, ``cap`` and, if it has them, ``bound``, ``default_threshold``, ``contact_score`` and
-        ``severity``. Empty if there is none.
+        Description of each metric whose class does not come with cornercase, by name, so that scores can be read
+        without the class: ``class``, ``unit``, ``lower_is_critical``, ``cap`` and, if the metric has them, ``bound``,
+        ``default_threshold``, ``contact_score`` and ``severity``. Empty without metrics of this kind.
     optimizer : str
         Name of the optimizer; ``"none"`` for imported recordings and suites.
     simulator : str
@@ -124,14 +127,14 @@ class StudyMeta:
     pareto : bool
         Whether the Pareto front of all metrics is searched.
     seed, budget, batch : int
-        Seed of the optimizer, number of scenarios in total, and per round.
+        Seed of the optimizer, number of scenarios in total, and number of scenarios per round.
     repeats : int
         Number of runs of each scenario.
     most_repeats : int or None
         Largest number of runs of a scenario. More than `repeats` runs are made while it is undecided whether the
         scenario is critical. None if each scenario has `repeats` runs.
     audit : float
-        Fraction of scenarios that are audits: drawn at random, and hidden from the search, to assess its result.
+        Fraction of scenarios that are audits: drawn at random as a check, with results hidden from the search.
     asynchronous : bool
         Whether the optimizer proposes the next scenario as soon as one has ended, instead of in rounds.
     elsewhere : mapping of str to object
@@ -139,9 +142,9 @@ class StudyMeta:
         number of ``scenarios``, and the ``sha256`` of their points and scores. Empty without a warm start.
     repeatability : mapping of str to object
         Result of running one scenario twice: the id of the scenario (``scenario``), and whether both recordings have
-        the ``same`` bytes. If they differ, ``apart`` is the largest distance in m between the positions of an entity in
-        both (None if unknown). ``random`` is True if sensors are random, so that runs with other seeds differ; else it
-        is left out. Empty if no scenario was run twice.
+        the ``same`` bytes. If the recordings differ, ``apart`` is the largest distance in m between the positions of an
+        entity in both (None if unknown). ``random`` is True if sensors are random, so that runs with other seeds
+        differ; otherwise there is no such key. Empty if no scenario was run twice.
     files : tuple of str
         Files of imported recordings, or scenario files of a suite, in the order of scenario ids.
     kinds : tuple of str
@@ -155,8 +158,8 @@ class StudyMeta:
     version : str
         Version of cornercase that created the study.
     driver_in_file : str or None
-        Driver that the scenario file names for the ego; empty if the ego follows the storyboard unless a driver is
-        given; None if unknown, as for simulators that drive the ego themselves.
+        Driver that the scenario file names for the ego. Empty if the file names no driver, so that the ego follows the
+        storyboard unless a driver is given. None if unknown, as for simulators that drive the ego themselves.
 
     Examples
     --------
@@ -202,7 +205,7 @@ class StudyMeta:
         return (self.other,) if isinstance(self.other, str) else self.other
 
     def create_metric(self, name: str) -> Metric:
-        """Return a metric with which results of the study are read.
+        """Return a metric of the study, for reading its stored scores and courses.
 
         Parameters
         ----------
@@ -212,7 +215,8 @@ class StudyMeta:
         Returns
         -------
         Metric
-            If its class does not come with cornercase, only what the study stores of it.
+            If the class of the metric does not come with cornercase, a metric made from its description in the study,
+            which cannot evaluate recordings.
 
         Raises
         ------
@@ -223,7 +227,7 @@ class StudyMeta:
         return METRICS.create(name) if description is None else StoredMetric(name, description)
 
     def create_metrics(self) -> tuple[Metric, ...]:
-        """Return all metrics of the study, as `create_metric`.
+        """Return all metrics of the study, each as `create_metric` returns it.
 
         Returns
         -------
@@ -242,12 +246,12 @@ class StudyMeta:
 
     @property
     def condition(self) -> str:
-        """The condition for being critical, such as ``"collision"``; empty if a threshold decides."""
+        """Condition under which a scenario is critical, such as ``"collision"``; empty if a threshold decides."""
         return find_critical_if_condition(self.metrics)
 
     @property
     def repeats_text(self) -> str:
-        """Describe how many times each scenario is run."""
+        """Text that says how many times each scenario is run, such as ``"3"`` or ``"3 to 10"``."""
         return str(self.repeats) if self.most_repeats is None else f"{self.repeats} to {self.most_repeats}"
 
     @property
@@ -257,7 +261,7 @@ class StudyMeta:
 
     @property
     def nondeterminism_text(self) -> str:
-        """Describe how two runs of the same scenario differ; empty if no difference is known."""
+        """Text that says how two runs of the same scenario differ; empty if no difference is known."""
         if self.repeatability.get("same", True):
             return ""
         distance = self.repeatability.get("apart")
@@ -270,23 +274,23 @@ class StudyMeta:
 
     @property
     def may_draw_random_numbers(self) -> bool:
-        """Whether recordings may depend on the seed: sensors are random, or a driver is the user's own class."""
+        """True if recordings may depend on the seed: sensors are random, or a driver is the user's own class."""
         given = (driver.get("driver") for driver in self.drivers.values() if isinstance(driver, Mapping))
         return bool(self.repeatability.get("random")) or any(":" in str(name) for name in given)
 
     @property
     def drivers(self) -> dict[str, Any]:
-        """Drivers that were given, by entity: each as text, or as dict of its settings."""
+        """Drivers that the user gave, by entity, each as a text or as a dict of its settings."""
         return dict(self.settings.get(_DRIVERS_KEY, {}))
 
     @property
     def ego_driver(self) -> Any:
-        """Driver of the ego, given or named in the file: an empty text if it has none, None if that is unknown."""
+        """Driver of the ego, given or named in the scenario file; an empty text if there is none, None if unknown."""
         return self.drivers.get(self.ego, self.driver_in_file)
 
     @property
     def roles_text(self) -> str:
-        """Describe, as sentences, the ego and its driver, the other entities, and the simulator."""
+        """Sentences that name the ego and its driver, the other entities, and the simulator."""
         who, others = self.ego, self.others
         if driver := self.ego_driver:
             who += f", driven by {format_driver(driver)}"
@@ -313,7 +317,7 @@ class StudyMeta:
         Returns
         -------
         dict of str to object
-            By field name; None stands for an empty or default value.
+            Value by field name; None stands for an empty or default value.
         """
         # These keys are only written if the study uses them.
         is_written = {
@@ -342,7 +346,7 @@ class StudyMeta:
         }
 
     def is_audit(self, scenario: int) -> bool:
-        """Tell whether the scenario with this id is an audit; audits are spread evenly over the ids.
+        """Return whether a scenario is an audit, drawn at random as a check; audits are spread evenly over the ids.
 
         Parameters
         ----------
@@ -402,7 +406,7 @@ class StudyMeta:
         if values.get("most_repeats", math.inf) <= values.get("repeats", 1):
             raise ValueError("its most_repeats is not greater than its repeats")
         if not 0.0 <= values.get("audit", 0.0) <= MAX_AUDIT_FRACTION:
-            raise ValueError("its audit is not a fraction")
+            raise ValueError(f"its audit is not a fraction from 0 to {MAX_AUDIT_FRACTION:g}")
         if not isinstance(values.get("settings", {}).get("drivers", {}), dict):
             raise ValueError("its drivers are not a mapping")
         values |= {
@@ -422,12 +426,12 @@ class StudyMeta:
         path : Path
             Path of the study, for messages.
         same_budget : bool, default False
-            Whether the budget has to stay, because the optimizer depends on it.
+            Whether the budget has to be the same, because the optimizer depends on the budget.
 
         Raises
         ------
         InputError
-            Something else differs.
+            Another field differs.
         """
         if self.suite and other.suite and self.suite != other.suite:
             raise InputError(
@@ -439,7 +443,7 @@ class StudyMeta:
             if name == "scenario" and self.fingerprint == other.fingerprint:
                 continue
             if name == "space":
-                # Its constraints follow from the file.
+                # Constraints of the space follow from the scenario file.
                 ours, theirs = mine.parameters, theirs_value.parameters
                 mine, theirs_value = _fill_missing_units(ours, theirs), _fill_missing_units(theirs, ours)
             if name == "elsewhere":
@@ -473,7 +477,7 @@ class StudyMeta:
 
 
 def _is_repeatability_valid(values: Mapping[str, Any]) -> bool:
-    """Tell whether a mapping has the entries and types of `StudyMeta.repeatability`."""
+    """Return whether a mapping has the entries and types of `StudyMeta.repeatability`."""
     distance, scenario = values.get("apart"), values.get("scenario")
     return (
         isinstance(values.get("same"), bool)
@@ -493,7 +497,7 @@ def _fill_missing_units(parameters: tuple[Parameter, ...], reference: tuple[Para
 
 def _require_distinct_names(names: list[Any]) -> tuple[str, ...]:
     if len(names) < 2 or not all(isinstance(name, str) for name in names) or len(set(names)) < len(names):
-        raise ValueError(f"its other is {str(names)[:60]}")
+        raise ValueError(f"its other is {str(names)[:60]}, and not a list of at least two different names")
     return tuple(names)
 
 
@@ -519,7 +523,7 @@ def _require_same_driver_files(stored_settings: Mapping[str, Any], new_settings:
 
 
 def _describe_setting_differences(stored_settings: Mapping[str, Any], new_settings: Mapping[str, Any]) -> str:
-    """List the settings that differ, with both values; long values are shortened."""
+    """Describe the settings that differ, with the stored and the new value; long values are shortened."""
     texts = []
     for name in sorted({*stored_settings, *new_settings}):
         if name == _DRIVERS_KEY:

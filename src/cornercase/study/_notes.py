@@ -20,16 +20,17 @@ _MAX_ID: Final = 2**63 - 1
 def write_note(study: Path | str, scenario: int, note: str) -> None:
     """Write a note about a scenario into its study.
 
-    This works while an exploration writes to the study: it is a separate transaction that takes milliseconds and does
-    not need the lease.
+    This works while an exploration writes to the study: the note is written in a separate transaction that takes
+    milliseconds, and that does not need the exclusive right to write.
 
     Parameters
     ----------
     study : path
+        Path of the study.
     scenario : int
-        Its id.
+        Id of the scenario.
     note : str
-        At most 2,000 characters. It replaces an earlier note; an empty one removes it.
+        At most 2,000 characters. An earlier note is replaced; an empty text removes the earlier note.
 
     Raises
     ------
@@ -66,7 +67,7 @@ def _check_note(note: object) -> str:
     try:
         text.encode("utf-8")
     except UnicodeEncodeError:
-        raise InputError("`note`: contains a character that cannot be encoded.") from None
+        raise InputError("`note`: contains a character that cannot be encoded as UTF-8.") from None
     if "\0" in text:
         raise InputError("`note`: contains a null character.")
     return text

@@ -18,12 +18,13 @@ if TYPE_CHECKING:
 
 
 class Objective:
-    """Turns the scores of metrics into scores to minimize.
+    """Objective of a search, which turns the scores of metrics into scores to minimize.
 
-    The objective is the first metric, a weighted sum, or (for a Pareto front) all metrics. `weights` maps a metric to
-    its weight per unit of score; metrics without a weight do not count. `criterion` says when a scenario is critical;
-    None without `threshold`, and for a front. `InputError` if there is no metric, if a weight is not positive or its
-    metric is unknown, or for a front with weights or with a single metric.
+    The objective is the first metric, a weighted sum of metrics, or (for a Pareto front) all metrics. `weights` maps a
+    metric to its weight per unit of score; metrics without a weight do not count in the sum. `criterion` says when a
+    scenario is critical; it is None without `threshold`, and for a Pareto front. `InputError` if there is no metric, or
+    if a weight is not positive or belongs to an unknown metric. A Pareto front takes no weights, and needs at least two
+    metrics.
     """
 
     def __init__(
@@ -42,7 +43,9 @@ class Objective:
         for name, weight in self.weights.items():
             if name not in names:
                 if name.partition(":")[0] in METRICS:
-                    raise InputError(f"`weights` {name}: `metrics` are {', '.join(names)}; name it there, too.")
+                    raise InputError(
+                        f"`weights` {name}: is not one of the `metrics` ({', '.join(names)}); add it to them, too."
+                    )
                 raise InputError(f"`weights` {name}: is not one of the metrics; {suggest_name(name, names)}")
             if not 0.0 < weight < np.inf:
                 is_low = metrics[names.index(name)].lower_is_critical
@@ -55,13 +58,13 @@ class Objective:
 
     @classmethod
     def from_study_meta(cls, meta: StudyMeta, threshold: float | None = None) -> Objective:
-        """Return the objective of a stored study, with another threshold than the stored one if it is given."""
+        """Return the objective of a stored study; `threshold` replaces the stored threshold."""
         return cls(meta.create_metrics(), meta.weights, meta.pareto, meta.critical if threshold is None else threshold)
 
     def with_threshold(self, given: float | None, *, is_required: bool = True) -> Objective:
-        """Return the objective with the user's threshold, or else with the default threshold of its metric.
+        """Return the objective with the given threshold, or with the default of the metric if `given` is None.
 
-        `InputError` if a threshold is given for a Pareto front, or if one is required and there is none.
+        `InputError` if a threshold is given for a Pareto front, or if a threshold is required and there is none.
         """
         threshold = given
         if self.pareto:
@@ -85,9 +88,9 @@ class Objective:
         return np.asarray((weight_vector * signs)[:, None])
 
     def minimized(self, scores: FloatArray) -> FloatArray:
-        """Return scores to minimize, from scores in the metrics' units, shape (m, metrics).
+        """Return the scores to minimize of m scenarios from `scores` in the metrics' units, shape (m, metrics).
 
-        The shape is (m,), or (m, metrics) for a Pareto front.
+        The result has shape (m,), or (m, metrics) for a Pareto front.
         """
         # Skip unused metrics: NaN times 0 is NaN.
         has_weight = self._score_factors.any(axis=1)
@@ -97,9 +100,9 @@ class Objective:
         return np.asarray(values if self.pareto else values[:, 0])
 
     def minimized_scores(self, study: StudyFile) -> FloatArray:
-        """Return scores to minimize of all scenarios of a study that ran without failing.
+        """Return the scores to minimize of the n scenarios of a study that ran without failing.
 
-        The shape is (n,), or (n, metrics) for a Pareto front.
+        The result has shape (n,), or (n, metrics) for a Pareto front.
         """
         return self.minimized(np.stack([study.scores(metric.name) for metric in self.metrics], axis=1))
 
@@ -110,7 +113,7 @@ class Objective:
         return self.criterion.is_critical(minimized)
 
     def is_critical(self, scores: Mapping[str, float]) -> bool:
-        """Tell whether a scenario is critical, from its scores by metric; False without a threshold."""
+        """Return whether a scenario is critical, from its scores by metric; False without a threshold."""
         return bool(self.critical_mask(self.minimized(np.array([[scores[metric.name] for metric in self.metrics]])))[0])
 
     @property
@@ -133,7 +136,7 @@ class Objective:
 
     @property
     def lower_is_critical(self) -> bool:
-        """Whether a lower score in the objective's unit is more critical; True for a weighted sum."""
+        """True if a lower score in the objective's unit is more critical, and for a weighted sum."""
         return bool(self.weights) or self.metrics[0].lower_is_critical
 
     @property
@@ -147,7 +150,7 @@ class Objective:
 
     @property
     def least_critical_scores(self) -> FloatArray:
-        """Return the scores to minimize if every metric is at its cap (its least critical value).
+        """Scores to minimize of a scenario in which every metric is at its cap (its least critical value).
 
         The shape is (1,), or (metrics,) for a Pareto front.
         """

@@ -1,4 +1,4 @@
-"""Store outcomes of scenarios that were run again with a reference driver, in the table of metric courses."""
+"""Outcomes of scenarios that were run again with a reference driver, as rows of the table of metric courses."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _SCORE_BY_OUTCOME: Final = {collides: code for code, collides in _OUTCOME_BY_SCO
 
 
 def reference_metric_name(driver: str) -> str:
-    """Return the text that the column `metric` holds for outcomes with a reference driver."""
+    """Return the text that outcomes with a reference driver have in the column `metric` of the table ``courses``."""
     return f"reference:{driver}"
 
 
@@ -43,5 +43,8 @@ def write_reference_outcomes(connection: Connection, scenario: int, outcomes: Ma
 def decode_reference_outcome(score: float, packed: bytes) -> ReferenceOutcome:
     """Decode the stored outcome of a run with a reference driver."""
     times = np.asarray(unpack_arrays(packed)["course"])
-    require_value(score in _OUTCOME_BY_SCORE and times.ndim == 1 and len(times) <= 1, "the outcome of a reference")
+    require_value(
+        score in _OUTCOME_BY_SCORE and times.ndim == 1 and len(times) <= 1,
+        "the outcome with a reference driver is not valid",
+    )
     return ReferenceOutcome(_OUTCOME_BY_SCORE[score], float(times[0]) if len(times) else None)

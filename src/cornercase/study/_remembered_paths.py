@@ -1,6 +1,6 @@
-"""Where scenario files are on this machine whose path a study does not store, since it would reveal folders.
+"""Paths of explored scenario files that only this machine stores, since they would reveal folders in a study.
 
-Each is a small file in the user's cache, named after the scenario's fingerprint.
+Each path is in a small file in the user's cache, named after the fingerprint (SHA-256) of the scenario.
 """
 
 from __future__ import annotations
@@ -16,7 +16,10 @@ from cornercase.study._stored_paths import resolve_stored_path, stored_path
 
 
 def remember_scenario(file: Path, fingerprint: str, study: Path) -> None:
-    """Remember where a scenario file is, unless the path in its study leads there; without a cache, do nothing."""
+    """Store the path of a scenario file in the user's cache, unless the path in its study leads to the file.
+
+    Do nothing if the cache cannot be written.
+    """
     path = Path(os.path.abspath(file))
     if resolve_stored_path(stored_path(file, study), study) == path or find_remembered_scenario(fingerprint) == path:
         return
@@ -25,7 +28,7 @@ def remember_scenario(file: Path, fingerprint: str, study: Path) -> None:
 
 
 def find_remembered_scenario(fingerprint: str) -> Path | None:
-    """Return the remembered path of the scenario file with this fingerprint; None if there is none."""
+    """Return the path of the scenario file with this fingerprint from the user's cache; None if there is none."""
     # A study may come from anyone, and so may its fingerprint.
     if not re.fullmatch("[0-9a-f]{64}", fingerprint):
         return None

@@ -20,7 +20,7 @@ MIN_DECISIVE_RUNS: Final = 5
 def critical_run_rates(scores: Sequence[Sequence[float]], criterion: Criterion) -> FloatArray:
     """Return the fraction of critical runs of each scenario with its 90 % Clopper-Pearson interval, shape (n, 3).
 
-    `scores` are the minimized scores of all runs, by scenario.
+    `scores` has the scores to minimize of all runs of each scenario.
     """
     rows = []
     for run_scores in scores:
@@ -30,9 +30,9 @@ def critical_run_rates(scores: Sequence[Sequence[float]], criterion: Criterion) 
 
 
 def is_criticality_undecided(scores: Sequence[float], criterion: Criterion) -> bool:
-    """Tell whether the 90 % interval of the probability that a run is critical contains 0.5.
+    """Return whether the 90 % interval of the probability that a run is critical contains 0.5.
 
-    `scores` are the minimized scores of the runs of one scenario; at least one run is needed.
+    `scores` are the scores to minimize of the runs of one scenario; at least one run is needed.
     """
     ((_, low, high),) = critical_run_rates([scores], criterion)
     return bool(low <= 0.5 <= high)

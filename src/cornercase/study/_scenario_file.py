@@ -22,13 +22,15 @@ def find_explored_scenario(
     search_stored_path: bool = False,
     search_remembered_path: bool = True,
 ) -> ScenarioFile | None:
-    """Find the scenario file that a study explored; `InputError` for any other file.
+    """Find the scenario file that a study explored; `InputError` if the file has changed or is not found.
 
-    Without `scenario`, the file is searched where this machine has explored it, beside the study, and in the current
-    folder, and recognized by its fingerprint; a file with another one is passed over while a later place has the right
-    one. `search_stored_path` searches at the path stored in the study first. Use it only if the command needs the file,
-    since a study may come from anyone. The path that this machine remembers may reveal folders; do not search there if
-    the result shows the path. The result is None for imported recordings, and the first file of a suite.
+    Return None for imported recordings, and the first scenario file for a suite. If `scenario` is given, only this file
+    is checked. Otherwise the file is searched at the path where this machine explored it, beside the study, and in the
+    current folder; the first file with the fingerprint of the study is returned.
+
+    `search_stored_path` first searches at the path that the study stores. Use it only if the command needs the file,
+    since a study may come from anyone. `search_remembered_path` searches at the path where this machine explored the
+    file. Do not use it if the result shows the path, which may reveal folders.
     """
     meta = study.meta
     if meta.simulator == IMPORTED_SIMULATOR:
@@ -66,16 +68,16 @@ def find_explored_scenario(
 
 
 def _require_explored(study: StudyFile, scenario: ScenarioFile, n_others: int = 0) -> ScenarioFile:
-    """Return the scenario if it is the one that the study explored; `InputError` otherwise.
+    """Return the scenario if the study explored it; `InputError` otherwise.
 
-    `n_others` is how many more files of its name have been passed over.
+    `n_others` is the number of further files of this name that differ, for the message.
     """
     if scenario.fingerprint() == study.meta.fingerprint:
         return scenario
     missing = scenario.describe_missing_road()
     if missing:
         raise InputError(f"{scenario.path}: differs from the scenario that {study.path} was explored with: {missing}.")
-    others = f" (so have {n_others} more of this name)" if n_others else ""
+    others = f" (further files of this name that differ: {n_others})" if n_others else ""
     raise InputError(
         f"{scenario.path}: the file, its road or its catalogs have changed since {study.path} was explored{others};"
         " restore them, name the file that was explored with `scenario`, or run `explore` again, into another study."

@@ -29,7 +29,7 @@ class ScenarioRecord:
     values : dict of str to float or str
         Parameter values.
     state : {"pending", "done", "failed"}
-        Whether the scenario has not run yet, has run, or has failed.
+        The scenario has not run yet, has run, or has failed.
     error : str or None
         Why the scenario failed; None if it has not failed.
 
@@ -64,8 +64,10 @@ def build_scenario_table(
 ) -> pd.DataFrame:
     """Build the table that `StudyFile.table` returns, with one row per scenario.
 
-    `scores` maps a column to its values, one for each scenario that ran. `clusters` maps an aspect to ids and labels.
-    The other mappings are by scenario id.
+    `scores` maps a column to its values, one for each scenario that ran. `clusters` maps an aspect (what scenarios are
+    compared by) to scenario ids and cluster labels. `audits` marks the rows drawn at random as a check.
+    `score_sources` maps a metric to the entity that each score is measured against, by scenario id. The other mappings
+    are by scenario id.
     """
     # Imported here, since opening a study does not need it.
     import pandas as pd

@@ -13,12 +13,13 @@ APPLICATION_ID: Final = 0x434F524E
 
 @dataclass(frozen=True)
 class StudyTable:
-    """A table of a study; `columns` are its columns without those of checksums, a blob (bytes) last.
+    """Definition of a table in a study file.
 
-    The first `n_key_columns` columns identify a row; 0 means that rows are identified by their order. The blob has a
-    checksum of its own, so that the rest of a row can be read without it. `float_column` is the index of the column of
-    floats. If `has_totals`, row count and XOR of checksums are stored in the table ``tallies``. If `is_required`, every
-    study has the table.
+    `columns` are the columns except checksums; a column of blobs (bytes) is the last. The first `n_key_columns` columns
+    identify a row; 0 means that rows are identified by their order. The blob has a checksum of its own, so that the
+    rest of a row can be read without the blob. `float_column` is the index of the column of floats, if there is one. If
+    `has_totals`, row count and XOR of checksums are stored in the table ``tallies``. If `is_required`, every study has
+    the table.
     """
 
     create_statement: str
@@ -31,12 +32,12 @@ class StudyTable:
 
     @property
     def columns_without_blob(self) -> tuple[str, ...]:
-        """Columns without the blob."""
+        """Columns without checksums and without the blob."""
         return self.columns[:-1] if self.has_blob else self.columns
 
     @property
     def stored_columns(self) -> tuple[str, ...]:
-        """All columns in the order of the file; checksums come before the blob, which may fill many pages."""
+        """All columns in the order of the file, with checksums before the blob, which may fill many pages."""
         last = self.columns[-1]
         return (
             (*self.columns_without_blob, f"{last}_checksum", "checksum", last)

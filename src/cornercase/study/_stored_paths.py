@@ -17,8 +17,9 @@ def stored_path(file: Path, study: Path) -> str:
     """Return the path of a file or folder as a study stores it.
 
     The path is relative to the folder of the study, with ``/`` between its parts. So the same files in another place
-    give the same study. Only the name is stored if the relative path would reveal folders of the machine: if it leads
-    up more than three folders, or down again from the root of the file system, the user's home or a folder above.
+    give the same study. Only the name is stored if the relative path would reveal folders of the machine. This is so if
+    the path leads up more than three folders, or if it leads up to the root of the file system, to the user's home or
+    to a folder above the home, and down again from there.
 
     >>> stored_path(Path("/data/acc/scenarios/cut_in.xosc"), Path("/data/acc/results/s.db"))
     '../scenarios/cut_in.xosc'
@@ -43,7 +44,7 @@ def stored_path(file: Path, study: Path) -> str:
 
 
 def resolve_stored_path(stored: str, study: Path) -> Path | None:
-    """Return the scenario file at a path that `stored_path` returned; None if there is none.
+    """Return the path of the scenario file at a path that `stored_path` returned; None if there is no such file.
 
     A study may come from anyone. So only paths in the form of `stored_path` are followed, and only to OpenSCENARIO
     files of an accepted size.

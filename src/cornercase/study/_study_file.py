@@ -1,4 +1,4 @@
-"""A study in one SQLite file: everything that was run. The page ``docs/study-format.md`` describes the schema."""
+"""Studies in SQLite files, with all scenarios that were run. The page ``docs/study-format.md`` describes the schema."""
 
 from __future__ import annotations
 
@@ -71,15 +71,16 @@ ELAPSED_STAGES: Final = (
 
 
 class StudyFile:
-    """An open study. Make one with `create` or `open`, and use it as a context manager.
+    """An open study. Make the object with `create` or `open`, and use it as a context manager.
 
     Other processes can read a study while an exploration writes to it.
 
     Parameters
     ----------
     database : Database
+        The open SQLite file.
     critical : float, optional
-        Threshold that replaces that of the study in this object; the file stays as it is.
+        Threshold that replaces the threshold of the study in this object; the file stays as it is.
 
     Attributes
     ----------
@@ -93,7 +94,7 @@ class StudyFile:
     Raises
     ------
     InputError
-        `database` is a path, which `open` takes.
+        `database` is a path; use `open` for a path.
 
     Examples
     --------
@@ -153,7 +154,7 @@ class StudyFile:
         path : path
         readonly : bool, default True
             Open the file for reading only. Any number of processes can read at the same time, even while one process
-            writes. Only one process at a time can have it open for writing.
+            writes. Only one process at a time can have the file open for writing.
 
         Returns
         -------
@@ -184,7 +185,7 @@ class StudyFile:
 
     @property
     def readonly(self) -> bool:
-        """Whether the study is open for reading only."""
+        """True if the study is open for reading only."""
         return self._database.readonly
 
     def close(self) -> None:
@@ -197,7 +198,7 @@ class StudyFile:
         Returns
         -------
         context manager
-            Everything that is read within it is of one moment.
+            Everything read within the block is of the same moment.
         """
         return self._database.snapshot()
 
@@ -207,7 +208,7 @@ class StudyFile:
         Returns
         -------
         int or None
-            Another number than the last time if another connection has written. None if writes cannot be noticed,
+            The number changes between two calls if another connection has written. None if writes cannot be noticed,
             because the file was read-only when it was opened.
         """
         return self._database.data_version()
@@ -333,7 +334,7 @@ class StudyFile:
         return np.array([row.point for row in self.finished_rows()]).reshape(-1, self.space.dimension)
 
     def audit_mask(self) -> BoolArray:
-        """Mask of audits among the scenarios that ran: scenarios drawn at random whose results the search did not see.
+        """Return a mask of the scenarios that ran: True for audits, drawn at random and hidden from the search.
 
         Returns
         -------
@@ -408,7 +409,7 @@ class StudyFile:
             return {scenario: decode_reference_outcome(score, packed) for scenario, _, score, packed in stored}
 
     def score_sources(self, metric: str) -> dict[int, str | None]:
-        """Which entity the score of each scenario is measured against, if the study has several other entities.
+        """Return the entity that the score of each scenario is measured against, in a study of several other entities.
 
         Parameters
         ----------
@@ -438,12 +439,12 @@ class StudyFile:
         with reraise_as_damage(self.path):
             require_value(
                 all(scenario is None or scenario in others for scenario in sources.values()),
-                f"a score of {metric} is against an unknown entity",
+                f"a score of {metric} is measured against an unknown entity",
             )
             return {row.id: sources[row.id] for row in done}
 
     def scenario_score_sources(self, scenario: int) -> dict[str, str | None]:
-        """Which entity each score of one scenario is measured against, if the study has several other entities.
+        """Return the entity that each score of one scenario is measured against, in a study of several other entities.
 
         Parameters
         ----------
@@ -462,20 +463,20 @@ class StudyFile:
         with reraise_as_damage(self.path):
             require_value(
                 all(source is None or source in self.meta.others for source in sources.values()),
-                "a score is against an unknown entity",
+                "a score is measured against an unknown entity",
             )
             return {name: sources[name] for name in self.meta.metrics if name in sources}
 
     def primary_other(self) -> str:
-        """Choose the most important other entity: outcomes are described for it, and aspects compare it with the ego.
+        """Choose the most important other entity: outcomes describe this entity, and analyses relate it to the ego.
 
         Returns
         -------
         str
             The other entity that most scores by the first metric are measured against, in the first round. Later
-            rounds do not count, because they depend on scores and may still grow. Without rounds, the first scenarios
-            count, as many as a round would have. In a tie, or if no score is measured against a single entity, the
-            first of the others.
+            rounds do not count, because they depend on scores and may still grow. In a search without rounds, the first
+            scenarios count, up to the batch size. In a tie, or if no score is measured against a single entity, the
+            first of the other entities.
         """
         others = self.meta.others
         if len(others) == 1:
@@ -568,7 +569,8 @@ class StudyFile:
         with reraise_as_damage(self.path):
             course = np.asarray(unpack_arrays(rows[0][-1])["course"])
             require_value(
-                course.ndim == 1 and course.dtype.kind in "fiu", f"the course of {metric} in the scenario {scenario_id}"
+                course.ndim == 1 and course.dtype.kind in "fiu",
+                f"the course of {metric} in the scenario {scenario_id} is not valid",
             )
             return course
 
@@ -624,12 +626,12 @@ class StudyFile:
         Returns
         -------
         dict of int to tuple of Impact
-            Collisions by scenario id, by time, in the order in which scenarios were proposed.
+            Collisions in the order of time, by scenario id; scenarios are in the order in which they were proposed.
         """
         return {scenario: decode_impacts(facts) for scenario, facts in self._iter_facts(ids)}
 
     def most_critical(self, metric: str | None = None) -> list[int]:
-        """List the scenarios that ran from the most critical one.
+        """List the scenarios that ran, the most critical first.
 
         Parameters
         ----------
@@ -639,8 +641,8 @@ class StudyFile:
         Returns
         -------
         list of int
-            Ids of the scenarios. Of those with the same score, those in which the ego collides come first, and the
-            faster its first collision the earlier.
+            Ids of the scenarios. Scenarios with the same score are sorted by the relative speed of the ego's first
+            collision, the fastest first; scenarios without a collision come last.
 
         Raises
         ------
@@ -660,7 +662,7 @@ class StudyFile:
         return [ids[k] for k in order]
 
     def _iter_facts(self, ids: Container[int] | None = None) -> Iterator[tuple[int, dict[str, Any]]]:
-        """Yield id and decoded facts (a dict) of the digest of each recording, or of those with the given ids."""
+        """Yield scenario id and decoded facts (the JSON values) of each digest; `ids` limits the scenarios."""
         self._database.require_all_rows("digests")
         with reraise_as_damage(self.path), closing(self._database.iter_rows("digests")) as rows:
             for scenario, facts in rows:
@@ -668,12 +670,12 @@ class StudyFile:
                     yield scenario, decode_facts(facts)
 
     def iter_digests(self, parts: Collection[DigestPart] = DIGEST_PARTS) -> Iterator[tuple[int, ScenarioDigest]]:
-        """Yield, for each scenario that ran, what analysis and report need of its recording.
+        """Yield the digest of each scenario that ran: the values that analysis and report need of its recording.
 
         Parameters
         ----------
         parts : collection of {"series", "courses", "lines", "rounded"}
-            Parts of the digests to read, by default all; the others are empty.
+            Parts of the digests to read, by default all; parts that are not read are empty.
 
         Yields
         ------
@@ -686,13 +688,16 @@ class StudyFile:
         count = 0
         with reraise_as_damage(self.path), closing(self._database.iter_rows("digests", with_blob=True)) as rows:
             for scenario, facts, packed in rows:
-                require_value(count < len(ids) and ids[count] == scenario, f"the digest of the scenario {scenario}")
+                require_value(
+                    count < len(ids) and ids[count] == scenario,
+                    f"the digest of the scenario {scenario} is not expected",
+                )
                 count += 1
                 yield scenario, decode_digest(decode_facts(facts), packed, self.meta, parts)
             require_value(count == len(ids), "a scenario has no digest")
 
     def digest(self, scenario: int) -> ScenarioDigest:
-        """Read what analysis and report need of the recording of one scenario.
+        """Read the digest of one scenario: the values that analysis and report need of its recording.
 
         Parameters
         ----------
@@ -721,7 +726,7 @@ class StudyFile:
         return facts, packed
 
     def rounded_recording(self, scenario: int) -> bytes:
-        """Read the recording and the capped courses of one scenario in few bytes, rounded to what a page can show.
+        """Return the recording and the capped courses of one scenario as few bytes, rounded for the report page.
 
         Parameters
         ----------
@@ -749,7 +754,7 @@ class StudyFile:
         )
 
     def features(self, scenarios: Sequence[int | None]) -> FloatArray:
-        """Registered features of scenarios, read from the study if it has them, or else computed from recordings.
+        """Return the registered features of scenarios: stored features, or else features computed from recordings.
 
         Parameters
         ----------
@@ -759,7 +764,7 @@ class StudyFile:
         Returns
         -------
         ndarray of float64, shape (n, f)
-            As `cornercase.metrics.compute_features` returns them.
+            As `cornercase.metrics.compute_features` returns them; NaN for a scenario that failed.
 
         Raises
         ------
@@ -774,7 +779,7 @@ class StudyFile:
         return features
 
     def _scenario_features(self, scenario: int, checksum: int) -> FloatArray:
-        """Features of one scenario, shape (f,)."""
+        """Return the f registered features of one scenario, shape (f,)."""
         with reraise_as_damage(self.path):
             stored = decode_features(self._read_digest(scenario)[1], checksum)
         return measure_registered_features(self.recording(scenario), self.meta) if stored is None else stored
@@ -836,7 +841,8 @@ class StudyFile:
         with reraise_as_damage(self.path):
             for scenario, note in rows:
                 require_value(
-                    isinstance(note, str) and len(note) <= MAX_NOTE_LENGTH, f"the note on the scenario {scenario}"
+                    isinstance(note, str) and len(note) <= MAX_NOTE_LENGTH,
+                    f"the note on the scenario {scenario} is not valid",
                 )
             return dict(rows)
 
@@ -858,12 +864,13 @@ class StudyFile:
     def _require_metric(self, metric: str) -> None:
         if metric not in self.meta.metrics:
             raise InputError(
-                f"{self.path}: holds no course of the metric '{metric}'; it has {', '.join(self.meta.metrics)}."
+                f"{self.path}: holds no course of the metric '{metric}'; its metrics are"
+                f" {', '.join(self.meta.metrics)}."
             )
 
     @property
     def critical(self) -> float | None:
-        """Threshold in the unit of the objective: the study's own, or the one that it was opened with."""
+        """Threshold in the unit of the objective: the stored threshold, or the threshold given to this object."""
         return self.meta.critical if self._critical is None else self._critical
 
     @property
@@ -873,7 +880,7 @@ class StudyFile:
 
     @property
     def criterion(self) -> Criterion | None:
-        """When a scenario is critical; None if there is no threshold, or a Pareto front was searched."""
+        """Criterion for critical scenarios; None if there is no threshold, or if a Pareto front was searched."""
         return self.objective.criterion
 
     def critical_mask(self) -> BoolArray:
@@ -978,7 +985,7 @@ class StudyFile:
             return points, scores
 
     def analyzed_aspects(self) -> list[str]:
-        """List the aspects that the study was analyzed by.
+        """List the aspects, by which scenarios were compared, of all stored analyses.
 
         Returns
         -------
@@ -995,7 +1002,7 @@ class StudyFile:
         Parameters
         ----------
         name : str
-            Aspect of the analysis.
+            Aspect of the analysis, by which scenarios were compared.
         *array_names : str
             Names of the arrays to read, since reading large arrays takes time; all by default.
 
@@ -1073,12 +1080,12 @@ class StudyFile:
             rounds = [round_number for _, _, round_number in stored]
             require_value(
                 all(isinstance(round_number, int) for round_number in rounds) and rounds == sorted(rounds),
-                "the order of its results",
+                "the order of its results is not valid",
             )
             last = max((row.round for row in rows.values()), default=0)
             require_value(
                 all(rows[scenario_id].round < round_number <= last + 1 for _, scenario_id, round_number in stored),
-                "a result's round",
+                "the round of a result is not valid",
             )
             require_value(
                 len(stored) == len(ended_ids) and {scenario_id for _, scenario_id, _ in stored} == ended_ids,
@@ -1106,16 +1113,16 @@ class StudyFile:
         -------
         DataFrame
             One row per scenario, indexed by its id. The columns are ``round``, ``state``, ``audit`` if there are
-            audits, and one for each parameter and metric. If a weighted sum was searched, ``objective`` is its score,
-            which is critical where it is low. If scenarios were run several times, there are also ``lowest
-            …`` and ``highest …`` for each metric, ``critical runs`` as in `critical_run_rates`, and ``runs`` (the
-            number of runs that did not fail) if it may vary. If there are several other entities, ``other by …`` names
-            the entity that the score of a metric is measured against. ``collision`` names the entity that the ego
-            collides with first, and ``impact speed`` is their relative speed at contact in m/s. ``fault`` says whose
-            fault this collision is (``"ego"``, ``"other"``, ``"both"`` or ``"undecided"``), and ``fault reason`` why.
-            ``cluster by …`` is the cluster by an aspect, -1 for noise. Then follow ``outcome`` after an analysis,
-            ``note`` if there are notes, and ``error``. Cells without a value are empty. A parameter with the name of
-            another column becomes ``parameter …``.
+            audits, and one for each parameter and metric. If a weighted sum was searched, ``objective`` is this sum;
+            low values are critical. If scenarios were run several times, there are also ``lowest …`` and ``highest …``
+            for each metric, ``critical runs`` as in `critical_run_rates`, and, if the number of runs may vary, ``runs``
+            (the number of runs that did not fail). If there are several other entities, ``other by …`` names the entity
+            that the score of a metric is measured against. ``collision`` names the entity that the ego collides with
+            first, and ``impact speed`` is their relative speed at contact in m/s. ``fault`` says whose fault this
+            collision is (``"ego"``, ``"other"``, ``"both"`` or ``"undecided"``), and ``fault reason`` why. ``cluster
+            by …`` is the cluster by an aspect (what scenarios are compared by), -1 for noise. Then follow ``outcome``
+            after an analysis, ``note`` if there are notes, and ``error``. Cells without a value are empty. A parameter
+            with the name of another column becomes ``parameter …``.
         """
         with self.snapshot():
             scores = {}
@@ -1162,7 +1169,7 @@ class StudyFile:
                 )
 
     def _count_runs(self) -> dict[int, int]:
-        """Number of runs that did not fail, by scenario id."""
+        """Return the number of runs that did not fail, by scenario id."""
         runs = self._read_run_scores(self.meta.metrics[0]) or []
         return {row.id: len(scores) for row, scores in zip(self.finished_rows(), runs, strict=True)}
 
@@ -1212,9 +1219,9 @@ class StudyFile:
         Returns
         -------
         Recording
-            Of this study.
+            From this study.
         Recording
-            Of the other one; the same object if the stored bytes are equal, so that they are unpacked once.
+            From the other study; the same object as the first if the stored bytes are equal.
 
         Raises
         ------
@@ -1268,7 +1275,7 @@ class StudyFile:
             for name, course in courses.items():
                 require_value(
                     len(course) == len(recording.time),
-                    f"{len(course)} instants of {name} in the scenario {scenario}, of which the recording has"
+                    f"the course of {name} in the scenario {scenario} has {len(course)} instants, and its recording has"
                     f" {len(recording.time)}",
                 )
         return recording, courses
@@ -1299,12 +1306,12 @@ class StudyFile:
         return {name: (rows, sums) for name, rows, sums in self._database.read_rows("tallies")}
 
     def _count_states(self) -> dict[str, int]:
-        """Number of scenarios by state."""
+        """Return the number of scenarios in each state."""
         return Counter(row.state for row in self.rows())
 
 
 def describe_ids(ids: Collection[int]) -> str:
-    """Say which scenarios a study has."""
+    """Describe in words the range of the scenario ids of a study."""
     last = max(ids, default=0)
     return f"its scenarios are 1 to {last}" if last > 1 else "its only scenario is 1" if last else "it has none yet"
 

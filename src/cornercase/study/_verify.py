@@ -33,15 +33,16 @@ _MAX_LISTED: Final = 20
 
 @dataclass(frozen=True)
 class Verification:
-    """Result of a verification.
+    """Result of `verify`: the problems found in a study.
 
     Attributes
     ----------
     path : Path
+        Path of the study.
     problems : tuple of str
         Part of a sentence for each problem; empty if there is none.
     checked : bool, default True
-        Whether the study has checksums; always True.
+        True if the study has checksums, which each study has.
 
     Examples
     --------
@@ -57,7 +58,7 @@ class Verification:
 
     @property
     def is_sound(self) -> bool:
-        """Whether there is no problem."""
+        """True if the study has no problem."""
         return not self.problems
 
 
@@ -67,6 +68,7 @@ def verify(study: Path | str) -> Verification:
     Parameters
     ----------
     study : path
+        Path of the study.
 
     Returns
     -------
@@ -75,8 +77,8 @@ def verify(study: Path | str) -> Verification:
     Raises
     ------
     InputError
-        There is no such file, it cannot be opened, or it is not a study: it belongs to another program or has another
-        schema version, or cornercase wrote nothing in it.
+        There is no such file, the file cannot be opened, or the file is not a study: another program wrote the file,
+        nothing in the file is from cornercase, or its schema version is newer than this version of cornercase.
 
     Examples
     --------

@@ -24,10 +24,10 @@ if TYPE_CHECKING:
     import pandas as pd
 
 PARAMETER_TABLE: Final = "parameters.csv"
-"""Table of recordings and their parameters."""
+"""File name of the table of recordings and their parameters."""
 
 FILE_COLUMN: Final = "file"
-"""Its column with the path of each recording, from its folder."""
+"""Column of the table of recordings: path of each recording, relative to the folder of the table."""
 
 
 def write_table(folder: Path, table: pd.DataFrame, parquet: bool = False) -> None:

@@ -1,4 +1,4 @@
-"""Write to a study."""
+"""Write scenarios, results and analyses into an open study."""
 
 from __future__ import annotations
 
@@ -36,24 +36,28 @@ from cornercase.study._schema import CREATE_STATEMENTS, TABLES
 if TYPE_CHECKING:
     from cornercase.study._study_file import StudyFile
 
-# Tables with content, each before those that it refers to.
+# Tables with content, each before the tables that it refers to.
 _CONTENT_TABLES: Final = tuple(table for table in reversed(TABLES) if table not in ("meta", "tallies"))
 # Fields that may change when a study is continued.
 _MUTABLE_FIELDS: Final = ("space", "critical", "budget", "kinds", "requirements", "origin")
 
 
 class StudyWriter:
-    """Writes to an open study; each method is one transaction, and raises `InputError` if writing is impossible."""
+    """Writer of scenarios and results into an open study.
+
+    Each method is one transaction, and raises `InputError` if writing is impossible.
+    """
 
     def __init__(self, study: StudyFile, database: Database) -> None:
         self._study, self._database = study, database
 
     def resume(self, meta: StudyMeta, *, same_budget: bool = False) -> None:
-        """Check that the study fits `meta`, and store the fields that may change; `InputError` if it does not fit.
+        """Check that the study can be continued with the description `meta`, and store what may change.
 
-        These fields may change: budget, requirements and clusters of a suite, constraints of the space, and a missing
-        threshold. With `same_budget` the budget may not change, because the optimizer depends on it. A study in which
-        no scenario has ended yet takes over all of `meta`.
+        These fields may change: the budget, missing constraints of the space, a missing threshold, and requirements,
+        clusters and origin of a suite. With `same_budget` the budget may not change, because the optimizer depends on
+        the budget. If another field differs, `InputError` is raised. But a study in which no scenario has ended is
+        emptied then, and takes over all of `meta`.
         """
         self._study.require_undamaged()
         try:
@@ -81,9 +85,9 @@ class StudyWriter:
         self._study.meta, self._study.space = updated, updated.space
 
     def save_warm_start(self, points: FloatArray, scores: FloatArray) -> None:
-        """Store points, shape (n, d), and minimized scores of the earlier study for a warm start.
+        """Store points, shape (n, d), and scores to minimize, shape (n,), of the earlier study for a warm start.
 
-        If some are stored already, nothing is changed.
+        A study that already holds warm-start data is not changed.
         """
         rows = [(point.astype("<f8").tobytes(), score) for point, score in zip(points, scores.tolist(), strict=True)]
         with self._database.transaction() as connection:
@@ -96,8 +100,8 @@ class StudyWriter:
     ) -> None:
         """Store whether a second run of a scenario with the same seed gave the same bytes.
 
-        `max_distance` is the largest distance in m between the positions of an entity in both runs; None if unknown.
-        With `is_random`, runs with other seeds differ.
+        `same` is True if it did. `max_distance` is the largest distance in m between the positions of an entity in both
+        runs; None if unknown. `is_random` is True if sensors are random, so that runs with other seeds differ.
         """
         result = {"scenario": scenario, "same": same, "apart": max_distance} | ({"random": True} if is_random else {})
         with self._database.transaction() as connection:
@@ -127,10 +131,10 @@ class StudyWriter:
         values: Sequence[Mapping[str, Value]],
         ids: Sequence[int] | None = None,
     ) -> list[ScenarioRecord]:
-        """Store a round of proposed scenarios as pending, all or none.
+        """Store a round of proposed scenarios that are pending (not run yet), all or none.
 
-        `round_number` counts from 1. `points` are in the unit cube, shape (n, d). By default the scenarios get the next
-        free ids; pass `ids` to restore lost scenarios.
+        `round_number` counts from 1. `points` are in the unit cube, shape (n, d); `values` are the parameter values of
+        each point. By default the scenarios get the next free ids; pass `ids` to restore lost scenarios.
         """
         with self._database.transaction() as connection:
             ((last,),) = connection.execute("SELECT COALESCE(MAX(id), 0) FROM scenarios")
@@ -152,9 +156,10 @@ class StudyWriter:
     ) -> None:
         """Store the result of a scenario: its recording, and the course and score of each metric.
 
-        If the scenario was run several times, `repeats` has the scores of all runs, by metric. `references` has the
-        outcomes with reference drivers driving the ego, by driver. If the study has several other entities, `courses`
-        must be `MetricResult` objects, which say which entity counts.
+        `courses` maps a metric to its course and score. If the study has several other entities, the values must be
+        `MetricResult` objects, which name the entity that the score is measured against. If the scenario was run
+        several times, `repeats` has the scores of all runs, by metric. `references` has the outcomes with reference
+        drivers driving the ego, by driver.
         """
         with self._database.transaction() as connection:
             write_reference_outcomes(connection, scenario, references or {})
@@ -176,7 +181,10 @@ class StudyWriter:
             self._save_digest(connection, scenario, recording, plain_courses)
 
     def save_missing_digests(self) -> None:
-        """Compute missing digests again from recordings and courses, and store them; used to repair a damaged study."""
+        """Compute missing digests (summaries of recordings) again from recordings and courses, and store them.
+
+        This is part of the repair of a damaged study.
+        """
         with self._database.transaction() as connection:
             stored = {scenario for (scenario,) in self._database.query("SELECT scenario FROM digests")}
             for row in self._study.finished_rows():
@@ -238,10 +246,10 @@ class StudyWriter:
             insert_rows(connection, "results", [(number + 1, scenario, last + 1)])
 
     def save_analysis(self, name: str, arrays: Mapping[str, npt.ArrayLike], info: Mapping[str, Any]) -> None:
-        """Store arrays and facts of a result under a name, replacing an earlier result.
+        """Store the arrays of a result, and its other values (`info`, as JSON), under a name.
 
-        The array ``"distances"`` holds the distances between all scenarios in ``"ids"``: square, symmetric, and 0 on
-        the diagonal.
+        An earlier result of this name is replaced. The array ``"distances"`` holds the distances between all scenarios
+        in ``"ids"``: square, symmetric, and 0 on the diagonal.
         """
         self.save_analyses({name: (arrays, info)})
 
@@ -250,9 +258,9 @@ class StudyWriter:
         results: Mapping[str, tuple[Mapping[str, npt.ArrayLike], Mapping[str, Any]] | None],
         outcomes: Mapping[int, str] | None = None,
     ) -> None:
-        """Store several results by name, all or none, in the form of `save_analysis`; None removes an earlier result.
+        """Store several results by name, all or none, each as (arrays, info) for `save_analysis`.
 
-        `outcomes` describe in words how scenarios ended, by id.
+        None removes an earlier result of this name. `outcomes` describe in words how scenarios ended, by id.
         """
         with self._database.transaction() as connection:
             insert_rows(connection, "outcomes", sorted((outcomes or {}).items()))
@@ -283,7 +291,7 @@ def _encode_pending_row(row: ScenarioRecord) -> tuple[Any, ...]:
 
 
 def optional_table_names(meta: StudyMeta) -> tuple[str, ...]:
-    """Names of the optional tables that a study with this description has."""
+    """Return the names of the optional tables that a study with this description has."""
     is_present = {"against": len(meta.others) > 1, "results": meta.asynchronous, "elsewhere": bool(meta.elsewhere)}
     return tuple(name for name, present in is_present.items() if present)
 
