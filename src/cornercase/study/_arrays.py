@@ -53,7 +53,7 @@ def pack_array_pieces(
 
 
 def _is_compressible(array: npt.NDArray[Any]) -> bool:
-    """Return whether an array becomes enough shorter to be worth the time that compressing takes."""
+    """Return whether compressing an array saves enough bytes to be worth the time."""
     if array.nbytes <= _ALWAYS_COMPRESSED_BYTES:
         return True
     sample = array.ravel()[: _SAMPLE_BYTES // array.itemsize].tobytes()
@@ -61,7 +61,7 @@ def _is_compressible(array: npt.NDArray[Any]) -> bool:
 
 
 def _split_rows(array: npt.NDArray[Any], max_bytes: int) -> Iterator[npt.NDArray[Any]]:
-    """Yield slices of consecutive rows of an array, each of at most `max_bytes` if a row is not longer."""
+    """Yield slices of consecutive rows of an array; a slice of more than one row has at most `max_bytes`."""
     if array.ndim == 0 or array.nbytes <= max_bytes:
         yield array
         return

@@ -178,7 +178,7 @@ def create_metrics(meta: StudyMeta) -> tuple[Metric, ...]:
 
 
 def downsampling_stride(lengths: Sequence[int]) -> int:
-    """Return the stride, at least 1, that downsamples a series of the median of `lengths` to about 100 instants."""
+    """Return the stride, at least 1, that leaves at most about 100 instants of a series of median length."""
     return max(1, math.ceil(float(np.median(lengths)) / MAX_INSTANTS))
 
 
@@ -280,7 +280,7 @@ def _encode_encounter(encounter: PathRelation) -> list[Any]:
 
 
 def _encode_float(value: float) -> float | None:
-    """Return the number, or None for NaN, which JSON has not."""
+    """Return the number, or None for NaN, which JSON lacks."""
     return None if math.isnan(value) else value
 
 

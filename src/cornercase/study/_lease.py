@@ -72,8 +72,8 @@ class Lease:
         if not self.is_held(connection):
             raise StudyLostError(
                 f"{self.path}: another cornercase process took over this study, because this process seemed to have"
-                " ended. Everything stored until then is in the study. Run the same command again when the other process"
-                " has ended."
+                " ended. Everything stored until then is in the study. Run the same command again when the other"
+                " process has ended."
             )
 
     def is_held(self, connection: sqlite3.Connection) -> bool:

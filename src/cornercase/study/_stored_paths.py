@@ -44,7 +44,7 @@ def stored_path(file: Path, study: Path) -> str:
 
 
 def resolve_stored_path(stored: str, study: Path) -> Path | None:
-    """Return the path of the scenario file at a path that `stored_path` returned; None if there is no such file.
+    """Return the scenario file that a result of `stored_path` leads to; None if there is no such file.
 
     A study may come from anyone. So only paths in the form of `stored_path` are followed, and only to OpenSCENARIO
     files of an accepted size.

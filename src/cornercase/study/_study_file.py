@@ -985,7 +985,7 @@ class StudyFile:
             return points, scores
 
     def analyzed_aspects(self) -> list[str]:
-        """List the aspects, by which scenarios were compared, of all stored analyses.
+        """List the aspects (what scenarios are compared by) of all stored analyses.
 
         Returns
         -------

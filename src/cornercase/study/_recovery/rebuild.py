@@ -99,8 +99,8 @@ def rebuild_study(damaged: Path, output: Path) -> RecoveredStudy:
 def _recover_checksum_totals(damaged: Path, rows_by_table: dict[str, RowsByKey]) -> dict[str, tuple[int, int]]:
     """Return row count and XOR of checksums of each table for which they are known.
 
-    Both are known if they were stored, or if all pages of the table are intact. Recovered rows that are not part of an
-    intact table had been deleted before, so `rows_by_table` is reduced to the rows of the table.
+    Both are known if they were stored, or if all pages of the table are intact. The rows of an intact table replace its
+    recovered rows in `rows_by_table`, since recovered rows may include deleted rows.
     """
     tallies = {str(name): (int(rows), int(sums)) for name, rows, sums in rows_by_table["tallies"].values()}
     intact = set()
