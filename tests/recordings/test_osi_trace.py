@@ -106,7 +106,7 @@ def test_commands_write_traces(tmp_path, recording):
 
 
 def test_what_cannot_be_written_is_said(tmp_path, recording, monkeypatch):
-    with pytest.raises(cc.InputError, match=r"ends in \.osi"):
+    with pytest.raises(cc.InputError, match=r"must end in \.osi"):
         write_osi(tmp_path / "run.mcap", recording)
     with pytest.raises(cc.InputError, match="Nobody"):
         write_osi(tmp_path / "run.osi", recording, ego="Nobody")

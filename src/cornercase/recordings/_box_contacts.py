@@ -13,15 +13,15 @@ from cornercase._common.geometry.boxes import box_corners, box_distance
 from cornercase._common.typing import FloatArray
 from cornercase.recordings._recording import Collision, Recording
 
-# Largest gap in m between two boxes when a sensor says that its vehicle is hit.
+# Largest gap in m between two boxes at which a count of a collision sensor is attributed to them.
 _SENSOR_REACH: Final = 1.0
 
 
-def find_collisions(recording: Recording, sensed: str, hits: Sequence[float] = ()) -> tuple[Collision, ...]:
+def find_collisions(recording: Recording, sensing_entity: str, hits: Sequence[float] = ()) -> tuple[Collision, ...]:
     """Return the first contact of each pair of boxes, in order of time.
 
-    `hits` are times in s at which a sensor of the entity `sensed` counted a contact; it is one with the nearest entity
-    then, unless that is more than 1 m away.
+    `hits` are times in s at which a collision sensor of the entity `sensing_entity` counted a contact. A hit is a
+    collision with the entity that is nearest at that time, unless the gap is more than 1 m.
     """
     ahead = recording.center_x[:, None]
     x = recording.x + ahead * np.cos(recording.heading)
@@ -34,7 +34,7 @@ def find_collisions(recording: Recording, sensed: str, hits: Sequence[float] = (
         touching = np.flatnonzero(gap <= 0.0)
         if touching.size:
             first[pair] = float(recording.time[touching[0]])
-    e = recording.names.index(sensed)
+    e = recording.names.index(sensing_entity)
     for hit in hits:
         t = int(np.searchsorted(recording.time, hit))
         near = {pair: float(gap[t]) for pair, gap in gaps.items() if e in pair and gap[t] <= _SENSOR_REACH}
@@ -48,7 +48,7 @@ def find_collisions(recording: Recording, sensed: str, hits: Sequence[float] = (
 
 
 def cut_after(recording: Recording, end: float) -> Recording:
-    """Return a recording without what comes after a time in s."""
+    """Return the part of a recording up to the time `end` in s."""
     count = int((recording.time <= end + 1e-9).sum())
     return replace(
         recording,

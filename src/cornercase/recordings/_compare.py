@@ -13,7 +13,7 @@ NUMERIC_ARRAYS: Final = ("time", *MOTION_ARRAYS, *BOX_ARRAYS)
 
 
 def are_bitwise_equal(first: Recording, second: Recording) -> bool:
-    """Whether entities, collisions and all bits of all numbers are equal; 0.0 differs from -0.0."""
+    """Return whether entities, collisions and all bits of all numbers are equal; 0.0 differs from -0.0."""
     facts = [(recording.names, recording.object_types, recording.collisions) for recording in (first, second)]
     return facts[0] == facts[1] and all(
         np.asarray(getattr(first, name)).tobytes() == np.asarray(getattr(second, name)).tobytes()

@@ -72,7 +72,7 @@ def read_recording_csv(path: Path) -> Recording:
 
 
 class _CsvColumns:
-    """Content of the rows in a form that needs little memory: numbers in one array, and each distinct text once."""
+    """Content of the rows of a CSV recording, in little memory: numbers in one array, and each distinct text once."""
 
     def __init__(self) -> None:
         self.lines: list[int] = []
@@ -128,8 +128,8 @@ def _refuse_duplicate_rows(path: Path, lines: list[int], keys: IntArray) -> None
     if len(double):
         first, second = order[double[0]], order[double[0] + 1]
         raise InputError(
-            f"{path}, line {lines[second]}: the entity already has a row of this time in line {lines[first]}; "
-            "remove one of them."
+            f"{path}, line {lines[second]}: the entity already has a row for this time, in line {lines[first]}; "
+            "remove one of these rows."
         )
 
 
@@ -138,7 +138,10 @@ def _parse_collision_cell(path: Path, line: int, text: str, names: set[str]) -> 
     names_touched = [part.strip() for part in text.split(";") if part.strip()]
     for name in names_touched:
         if name not in names:
-            raise InputError(f"{path}, line {line}: collision names '{name}'; {suggest_name(name, names)}")
+            raise InputError(
+                f"{path}, line {line}: the column collision names the unknown entity '{name}';"
+                f" {suggest_name(name, names)}"
+            )
     return names_touched
 
 

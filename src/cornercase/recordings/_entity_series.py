@@ -9,7 +9,10 @@ from cornercase.recordings._recording import Recording
 
 
 def position_series(recording: Recording, entity: str, fallback_entity: str | None = None) -> FloatArray:
-    """Center of an entity's box in m, shape (T, 2). If the entity never exists, that of `fallback_entity`."""
+    """Return the center of an entity's box in m at T instants, shape (T, 2).
+
+    If the entity never exists, `fallback_entity` takes its place.
+    """
     center = recording.box_center(entity)
     if fallback_entity is not None and not np.isfinite(center).all(axis=1).any():
         return position_series(recording, fallback_entity)
@@ -17,12 +20,12 @@ def position_series(recording: Recording, entity: str, fallback_entity: str | No
 
 
 def speed_series(recording: Recording, entity: str) -> FloatArray:
-    """Speed of an entity in m/s, shape (T, 1)."""
+    """Return the speed of an entity in m/s at T instants, shape (T, 1)."""
     return _fill_missing(recording.speed[recording.entity_index(entity)][:, None])
 
 
 def relative_position_series(recording: Recording, ego: str, other: str) -> FloatArray:
-    """Position of the other entity in the ego's coordinate frame in m, shape (T, 2)."""
+    """Return the position of the other entity in the ego's coordinate frame in m at T instants, shape (T, 2)."""
     x, y = (position_series(recording, other, ego) - position_series(recording, ego)).T
     heading = _fill_missing(recording.heading[recording.entity_index(ego)][:, None])[:, 0]
     cos, sin = np.cos(heading), np.sin(heading)
@@ -30,14 +33,17 @@ def relative_position_series(recording: Recording, ego: str, other: str) -> Floa
 
 
 def bearing_series(recording: Recording, ego: str, other: str) -> FloatArray:
-    """Direction from the ego to the other entity as a unit vector, shape (T, 2); zero if both are at the same point."""
+    """Return the direction from the ego to the other entity as unit vectors at T instants, shape (T, 2).
+
+    The vector is zero if both are at the same point.
+    """
     relative = relative_position_series(recording, ego, other)
     distance = np.hypot(relative[:, :1], relative[:, 1:])
     return np.divide(relative, distance, out=np.zeros_like(relative), where=distance > 0.0)
 
 
 def _fill_missing(values: FloatArray) -> FloatArray:
-    """Fill instants at which an entity does not exist with its last values before, else with its first values."""
+    """Fill instants at which an entity does not exist with its last earlier values, or with its first values."""
     exists = np.isfinite(values).all(axis=1)
     if exists.all():
         return values

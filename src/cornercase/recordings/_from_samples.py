@@ -25,7 +25,7 @@ _MAX_TIME: Final = 1e12
 
 @dataclass
 class EntitySamples:
-    """Samples of the motion of one entity, by time in s; object type and box as in `Recording`.
+    """Samples of the motion of one entity, by time in s; object type and box size in m are as in `Recording`.
 
     A sample is x and y of the box center in m, the heading in rad, speed in m/s and acceleration in m/s². An unknown
     speed or acceleration is NaN.
@@ -41,7 +41,7 @@ class EntitySamples:
 class EntityBox:
     """Object type and box size of an entity, for motion files that contain neither; as in `Recording`.
 
-    `ahead` is the distance in m from the position in the file to the center of the box; if it is unknown, None.
+    `ahead` is the distance in m from the position in the file forward to the center of the box; None if unknown.
     """
 
     object_type: str
@@ -80,15 +80,18 @@ def require_valid_times(path: Path, time: FloatArray) -> None:
     if not np.isfinite(time).all():
         raise InputError(f"{path}: has a time that is not finite.")
     if len(time) and (latest := float(np.abs(time).max())) > _MAX_TIME:
-        raise InputError(f"{path}: has a time of {latest:g} s, at most {_MAX_TIME:g} s are read.")
+        raise InputError(f"{path}: has a time of {latest:g} s; times up to {_MAX_TIME:g} s are read.")
 
 
 def require_valid_motion(path: Path, motion: FloatArray) -> None:
-    """Raise `InputError` for impossible motion, shape (5, N) as in `EntitySamples`; NaN is allowed."""
+    """Raise `InputError` if motion has impossibly large values; NaN is allowed.
+
+    `motion`, shape (5, N), has the five values of N samples: x, y, heading, speed and acceleration.
+    """
     worst = np.nanmax(np.abs(motion), initial=0.0, axis=1)
     for name, largest in zip(("position", "position", "heading", "speed", "acceleration"), worst.tolist(), strict=True):
         if largest > _MAX_MOTION_VALUE:
-            raise InputError(f"{path}: has a {name} of {largest:g}, at most {_MAX_MOTION_VALUE:g} is read.")
+            raise InputError(f"{path}: has a {name} of {largest:g}; values up to {_MAX_MOTION_VALUE:g} are read.")
 
 
 @np.errstate(all="ignore")
@@ -97,8 +100,8 @@ def recording_from_samples(
 ) -> Recording:
     """Create a recording from samples of the motion of entities, by entity name.
 
-    The reference points of the recording are the box centers. Missing speeds and accelerations are computed from the
-    positions, as differences along the heading.
+    The reference points of the recording are the box centers. Missing speeds are derived from the positions, along the
+    heading. Missing accelerations are derived from the speeds.
     """
     time = np.unique([t for track in samples_by_entity.values() for t in track.samples])
     if not len(time):

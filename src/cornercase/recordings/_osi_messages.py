@@ -10,7 +10,7 @@ from typing import Any, Final
 from cornercase._common.errors import InputError
 from cornercase._common.extras import describe_install
 
-# Names of vehicle categories in OSI's VehicleClassification; a height in m, which recordings do not have.
+# By vehicle category: its name in OSI's VehicleClassification, and a usual height in m: recordings have no heights.
 _VEHICLE_TYPES: Final = {
     "car": ("TYPE_MEDIUM_CAR", 1.5), "van": ("TYPE_DELIVERY_VAN", 2.0), "truck": ("TYPE_HEAVY_TRUCK", 3.5),
     "semitrailer": ("TYPE_SEMITRAILER", 3.5), "trailer": ("TYPE_TRAILER", 2.0), "bus": ("TYPE_BUS", 3.0),
@@ -26,7 +26,10 @@ NAME_PREFIX: Final = "entity_name:"
 
 @dataclass(frozen=True)
 class OsiEntity:
-    """What does not change of an entity: name, vehicle category, box in m and centre of the box ahead in m."""
+    """Properties of an entity that do not change.
+
+    `center_x` is the distance in m of the box centre ahead of the reference point. The size of the box is in m.
+    """
 
     name: str
     object_type: str
@@ -37,7 +40,7 @@ class OsiEntity:
 
 @dataclass(frozen=True)
 class OsiState:
-    """Motion of an entity's reference point: m, rad, m/s, m/s², rad/s; NaN while it does not exist."""
+    """Motion of an entity's reference point in m, rad, m/s, m/s² and rad/s; NaN while the entity does not exist."""
 
     x: float
     y: float
@@ -48,7 +51,7 @@ class OsiState:
 
 
 def require_osi(what: str) -> None:
-    """Raise `InputError` if the extra is not installed."""
+    """Raise `InputError` if the extra ``osi`` is not installed; `what` says in the message what needs it."""
     try:
         import osi3  # noqa: F401
     except ImportError as error:
@@ -58,9 +61,9 @@ def require_osi(what: str) -> None:
 def fill_ground_truth(
     truth: Any, time: float, entities: Sequence[OsiEntity], states: Sequence[OsiState], host: int | None = None
 ) -> None:
-    """Fill an empty GroundTruth with the entities that exist; ids are their numbers.
+    """Fill an empty GroundTruth message with the entities that exist; their indices become the ids of the objects.
 
-    `host` is the number of the vehicle that is the host.
+    `host` is the index of the host vehicle.
     """
     set_version(truth)
     set_timestamp(truth.timestamp, time)
@@ -72,7 +75,7 @@ def fill_ground_truth(
 
 
 def set_version(message: Any) -> None:
-    """Set the version of a message to that of the library."""
+    """Set the version of an OSI message to the version of the installed OSI library."""
     from osi3 import osi_version_pb2
 
     message.version.CopyFrom(
@@ -81,7 +84,7 @@ def set_version(message: Any) -> None:
 
 
 def set_timestamp(timestamp: Any, time: float) -> None:
-    """Set a Timestamp to a time in s, rounded to ns."""
+    """Set an OSI timestamp to a time in s, rounded to ns."""
     seconds, nanos = divmod(round(time * 1e9), 1_000_000_000)
     timestamp.seconds, timestamp.nanos = seconds, nanos
 

@@ -13,7 +13,8 @@ from cornercase.roads._road import Road
 
 FIRST_ID: Final = 1 << 20
 """Ids of lanes and boundaries begin here; those of moving objects are below."""
-# m; lines are sampled so finely, and of the samples those are kept at which the line has turned or gone so far.
+# Distance of samples of a line in m. A sample is written if the line has turned this far since the last one, in rad,
+# or has gone this far, in m.
 _SAMPLING, _MAX_TURN, _MAX_DISTANCE = 1.0, 0.01, 50.0
 _SUBTYPES: Final = {
     "driving": "NORMAL", "bidirectional": "NORMAL", "biking": "BIKING", "sidewalk": "SIDEWALK", "walking": "SIDEWALK",
@@ -53,7 +54,11 @@ def _add_lane(
     s: FloatArray,
     left_boundary: int,
 ) -> None:
-    """Add a lane, whose center line runs as traffic does; its boundary to the right of s has the next id."""
+    """Add a lane with its center line in the direction of traffic.
+
+    `s` are the positions along the road in m. `left_boundary` is the id of the lane boundary to the left, seen along s;
+    the boundary to the right has the next id.
+    """
     number, section, lane = key
     road = network.roads[number]
     is_along = bool(road.is_traffic_forward(lane, s[:1])[0])
@@ -111,7 +116,7 @@ def _sample_section(road: Road, section: int) -> FloatArray:
 
 
 def _thin_line(road: Road, s: FloatArray, t: FloatArray) -> tuple[list[float], list[float]]:
-    """Return the points of a line beside a road that its shape needs."""
+    """Return x and y in m of those samples (s, t) of a line along a road that the shape of the line needs."""
     x, y, _ = road.pose_at(s, t)
     turns = np.abs(np.diff(np.unwrap(np.arctan2(np.diff(y), np.diff(x)))))
     turned = np.concatenate([[0.0], np.cumsum(turns), [np.sum(turns)]])

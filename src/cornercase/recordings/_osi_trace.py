@@ -15,13 +15,13 @@ from cornercase.recordings._recording import Recording
 def write_osi(path: Path | str, recording: Recording, ego: str | None = None) -> None:
     """Write a recording as a single-channel trace of ASAM OSI.
 
-    Each instant is one message of type GroundTruth, after its length as four bytes. The objects are named by the
-    scenario's entities in ``source_reference``. Heights, which a recording does not have, are usual ones.
+    Each instant is one message of type GroundTruth, after its length as four bytes. The field ``source_reference`` of
+    an object names the entity of the scenario. Usual heights are written, since a recording has no heights.
 
     Parameters
     ----------
     path : path
-        File to write, by convention ending in ``.osi``; it is replaced if it exists.
+        File to write; its name must end in ``.osi``. An existing file is replaced.
     recording : Recording
     ego : str, optional
         Entity that is the host vehicle.
@@ -29,7 +29,8 @@ def write_osi(path: Path | str, recording: Recording, ego: str | None = None) ->
     Raises
     ------
     InputError
-        The extra ``osi`` is not installed, there is no entity of that name, or the file cannot be written.
+        The extra ``osi`` is not installed, there is no entity `ego`, the file name does not end in ``.osi``, or the
+        file cannot be written.
 
     References
     ----------
@@ -46,7 +47,7 @@ def write_osi(path: Path | str, recording: Recording, ego: str | None = None) ->
     """
     path = Path(path)
     if path.suffix.lower() != ".osi":
-        raise InputError(f"{path}: a trace of one channel ends in .osi; name it so.")
+        raise InputError(f"{path}: the name of an OSI trace of one channel must end in .osi; give another name.")
     require_osi(f"{path}: writing OSI traces")
     from osi3.osi_groundtruth_pb2 import GroundTruth
 
@@ -70,7 +71,7 @@ def write_osi(path: Path | str, recording: Recording, ego: str | None = None) ->
 
 
 def _yaw_rates(recording: Recording) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
-    """Return the yaw rate of each entity up to each instant in rad/s; 0 at its first one."""
+    """Return the yaw rate of each entity since the previous instant in rad/s; 0 at its first instant."""
     rates = np.zeros_like(recording.heading)
     if len(recording.time) > 1:
         turns = np.diff(recording.heading, axis=1)

@@ -64,7 +64,7 @@ def read_recording(path: Path | str) -> Recording:
 
 
 def _starts_with_words(path: Path, words: str) -> bool:
-    """Whether a text occurs near the beginning of a file."""
+    """Return whether a text occurs near the beginning of a file."""
     try:
         with open(path, encoding="utf-8", errors="replace") as file:
             return words in file.read(8192)

@@ -39,7 +39,7 @@ class Collision:
     Attributes
     ----------
     time : float
-        s.
+        Time in s.
     entities : tuple of str
         Names of the two entities, in the order of the recording.
 
@@ -63,7 +63,7 @@ class Recording:
     Attributes
     ----------
     time : ndarray of float64, shape (T,)
-        s, increasing.
+        Times of the instants in s, increasing.
     names : tuple of str, length A
         Names of the entities.
     object_types : tuple of str, length A
@@ -72,13 +72,13 @@ class Recording:
         Reference point of OpenSCENARIO in m: for vehicles, the center of the rear axle on the ground. All motion is NaN
         while an entity does not exist.
     heading : ndarray of float64, shape (A, T)
-        rad, counter-clockwise from +x.
+        Direction in rad, counter-clockwise from +x.
     speed : ndarray of float64, shape (A, T)
-        m/s along the heading, negative when reversing.
+        Speed in m/s along the heading, negative when reversing.
     acceleration : ndarray of float64, shape (A, T)
-        m/s² along the heading.
+        Acceleration in m/s² along the heading.
     length, width : ndarray of float64, shape (A,)
-        Bounding box in m.
+        Size of the bounding box in m.
     center_x : ndarray of float64, shape (A,)
         Distance of the box center ahead of the reference point, in m.
     collisions : tuple of Collision
@@ -148,7 +148,7 @@ class Recording:
         ) or ("no collision")
 
     def entity_index(self, name: str) -> int:
-        """Return the row of an entity.
+        """Return the index of an entity, its row in the arrays of the recording.
 
         Parameters
         ----------
@@ -206,7 +206,7 @@ class Recording:
         return min(collisions, key=attrgetter("time"), default=None)
 
     def with_absent_entities(self, names: Iterable[str]) -> Recording:
-        """Add entities that never exist.
+        """Return the recording with additional entities that exist at no instant.
 
         Parameters
         ----------
@@ -238,7 +238,7 @@ class Recording:
         pandas.DataFrame
             One row per instant and entity, with the columns of the CSV: ``time`` in s, ``entity``, ``kind``, ``x``,
             ``y``, ``heading``, ``speed``, ``acceleration``, ``length``, ``width``, ``center_x`` in m, rad, m/s and
-            m/s², and ``collision``: entities that it touches first at that instant, separated by semicolons.
+            m/s², and ``collision``: entities that the entity begins to touch at that instant, separated by semicolons.
         """
         import pandas
 
@@ -255,7 +255,7 @@ class Recording:
         return pandas.DataFrame(columns)
 
     def _first_contacts(self) -> dict[tuple[int, str], list[str]]:
-        """Return, by instant index and name of an entity, the entities that it touches first at that instant."""
+        """Return, by index of an instant and name of an entity, the entities that this entity begins to touch then."""
         touched: dict[tuple[int, str], list[str]] = {}
         for collision in self.collisions:
             first, second = collision.entities
@@ -323,7 +323,7 @@ def _format_csv_cells(*cells: object) -> str:
 
 
 def read_only(recording: Recording) -> Recording:
-    """Return the recording with arrays that the code of others cannot change."""
+    """Return the recording with read-only arrays, which other code cannot change."""
     views = {name: getattr(recording, name).view() for name in ("time", *MOTION_ARRAYS, *BOX_ARRAYS)}
     for view in views.values():
         view.flags.writeable = False

@@ -1,4 +1,4 @@
-"""Recordings in few bytes, rounded to what a page can show; `web/recordings.js` reads them."""
+"""Recordings encoded in few bytes for a page, rounded to what it can show; `web/recordings.js` reads them."""
 
 from __future__ import annotations
 
@@ -24,11 +24,17 @@ _COMPRESSION_LEVEL: Final = 4
 def encode_rounded(recording: Recording, courses: Mapping[str, FloatArray]) -> bytes:
     """Encode a recording and its metric courses, rounded, in zlib's format.
 
-    Unpacked, there are: the length of the head (uint32); the head (JSON); if ``gaps`` in the head is true, one byte per
-    row and instant, 1 if there is a value; the first value of each row; unless there is only one instant, the first
-    difference of each row; and row by row the second differences. ``fields`` in the head lists name, number of rows,
-    step, and bytes of a second difference for each array. Numbers are little-endian integers in units of the step;
-    first values and differences have 4 bytes.
+    A row is the time series of a metric, or of one value of one entity. The unpacked bytes are, in this order:
+
+    - the length of the head (uint32), and the head (JSON),
+    - if ``gaps`` in the head is true, one byte per row and instant: 1 if there is a value,
+    - the first value of each row,
+    - the first difference of each row, unless there is only one instant,
+    - the second differences, row by row.
+
+    ``fields`` in the head lists for each array its name, its number of rows, its step, and the bytes of a second
+    difference. Numbers are little-endian integers in units of the step. First values and first differences have 4
+    bytes.
     """
     # Coordinates may be those of a national grid, millions of metres from its origin.
     origin = {name: _first_finite_rounded(getattr(recording, name)) for name in ("x", "y")}

@@ -42,7 +42,8 @@ class _Actor:
 def read_carla_log(path: Path | str) -> Recording:
     """Read a file of CARLA's recorder (0.9.13 or later, which stores boxes); CARLA itself is not needed.
 
-    Vehicles and walkers are named by their role (``hero``) if it is unique, else by type and number. Reference points
+    Vehicles and walkers are named by their role, such as ``hero``, if it is unique, or else by type
+    and number. Reference points
     are the box centers. CARLA's axes are left-handed, so y and headings change sign.
     """
     path = Path(path)

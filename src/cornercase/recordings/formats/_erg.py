@@ -33,7 +33,7 @@ _DEFAULT_BOX: Final = EntityBox("car", 4.5, 1.8)
 
 
 def read_erg_columns(path: Path | str) -> dict[str, npt.NDArray[Any]]:
-    """Read all quantities of a result file, shape (T,) each, in SI units; the ``.info`` file must be next to it."""
+    """Read all quantities of a CarMaker result file by name, in SI units; its ``.info`` file must be next to it."""
     path = Path(path)
     info = path.with_name(path.name + ".info")
     data, text = read_file(path, _MAX_FILE_SIZE), read_file(info).decode("utf-8", "replace")
@@ -71,7 +71,7 @@ def read_erg_columns(path: Path | str) -> dict[str, npt.NDArray[Any]]:
 
 
 def _iter_info_entries(text: str) -> Iterator[tuple[str, str]]:
-    """Yield keys and values of an info file."""
+    """Yield the keys and values of an ``.info`` file of CarMaker."""
     for line in text.splitlines():
         key, sign, value = line.partition("=")
         if sign:
@@ -80,11 +80,12 @@ def _iter_info_entries(text: str) -> Iterator[tuple[str, str]]:
 
 @np.errstate(all="ignore")
 def read_erg(path: Path | str, entity_boxes: Mapping[str, EntityBox] | None = None) -> Recording:
-    """Read the motion of ``Ego`` and of traffic objects (``T00``, ``T01``, …) from a result file.
+    """Read the motion of ``Ego`` and of traffic objects (``T00``, ``T01``, …) from a CarMaker result file.
 
-    Positions are those of the middle of the vehicle's rear end, as in CarMaker's vehicle frame, unless a box says where
-    its center is. Result files contain no boxes: entities that are not in `entity_boxes` are cars of 4.5 m x 1.8 m. Two
-    entities collide when their boxes touch, or when the ego's collision sensor counts and another box is near.
+    A position in the file is the middle of the vehicle's rear end, as in CarMaker's vehicle frame, unless the entity's
+    box has `ahead`. Result files contain no boxes: entities that are not in `entity_boxes` are cars of 4.5 m x 1.8 m.
+    Two entities collide when their boxes touch, or when the ego's collision sensor counts a contact and another box is
+    near.
     """
     path = Path(path)
     columns = read_erg_columns(path)

@@ -1,4 +1,4 @@
-"""Logs of esmini's ``--csv_logger``."""
+"""Log files that esmini writes with ``--csv_logger``."""
 
 from __future__ import annotations
 

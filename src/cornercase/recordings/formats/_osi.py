@@ -27,7 +27,7 @@ _MAGIC_SIZE, _RECORD_HEADER_SIZE, _CHUNK_OPCODE = 8, 9, 6
 def read_osi(path: Path | str) -> Recording:
     """Read the moving objects of an ASAM OSI trace; requires the extra ``osi``.
 
-    They are named as in the scenario where the trace says so, else by their ids.
+    An object is named like its entity in the scenario if the trace contains this name, or else by its id.
 
     The trace has one channel (``.osi``, ``.xz``, ``.lzma``) or several (``.mcap``). Its messages are GroundTruth or
     SensorView.
@@ -169,9 +169,9 @@ def _iter_mcap(path: Path, message_type: str) -> Iterator[Any]:
 
 
 def _refuse_bad_mcap_sizes(path: Path) -> None:
-    """Refuse records that are longer than the file, and chunks that become too large.
+    """Refuse records that are longer than the file, and chunks that become too large when they are unpacked.
 
-    The mcap package does not check.
+    The mcap package does not check these sizes.
     """
     size = path.stat().st_size
     if size > _MAX_FILE_SIZE:
