@@ -395,7 +395,7 @@ def test_a_number_of_workers_that_is_none_is_refused(workers, many):
 def test_a_front_is_refused_by_a_search_of_one_score_as_by_any_other(tmp_path):
     problem = problem_of(X, metrics=["wttc", "trajectory-distance"], pareto=True, threshold=None)
     for optimizer in (cc.optimizers.LevelSet(), cc.optimizers.Bayes()):
-        with pytest.raises(cc.InputError, match=f"`pareto`: {optimizer} takes one score; use evolutionary"):
+        with pytest.raises(cc.InputError, match=f"`pareto`: {optimizer} searches one score; use evolutionary"):
             cc.Study.create(tmp_path / "s.db", problem).explore(optimizer, budget=4)
 
 
@@ -431,7 +431,9 @@ def test_scores_that_are_all_the_same_are_said_to_be(tmp_path):
 
 def test_failures_from_the_first_scenario_on_say_how_to_look_at_them(tmp_path):
     study = cc.Study.create(tmp_path / "s.db", problem_of(X, metrics=[Scalar()], threshold=2.0))
-    with pytest.raises(cc.InputError, match=r"`runs=Runs\(max_failures=…\)` is the limit, and 0 keeps the failed scen"):
+    with pytest.raises(
+        cc.InputError, match=r"`runs=Runs\(max_failures=…\)` is the limit, and 0 means that failed scenarios"
+    ):
         study.explore("sobol", budget=8)
     assert not study.path.exists()
     study.explore("sobol", budget=8, runs=cc.Runs(max_failures=0))

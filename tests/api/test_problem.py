@@ -47,8 +47,8 @@ def test_it_says_what_is_critical(scenario, arguments, criterion):
         ({"threshold": "low"}, "`threshold` 'low'"),
         (
             {"threshold": "200 ms"},
-            "^`threshold` '200 ms': give a number in s, as wttc has; only a condition takes units, as in `condition` "
-            r'"wttc < 200 ms"\.$',
+            "^`threshold` '200 ms': give only a number, in s like wttc; units are allowed only in a condition, as in "
+            r'`condition` "wttc < 200 ms"\.$',
         ),
         ({"condition": "collision", "threshold": 1.0}, "`condition` defines .* leave `threshold` out"),
         ({"metrics": ["wttc", "distance"], "pareto": True, "threshold": 1.0}, "a Pareto front has no threshold"),

@@ -206,7 +206,7 @@ def test_while_not_all_of_a_small_space_was_run_there_are_bounds(tmp_path, after
     with opened(tmp_path / "e.db", logical.space) as study:
         some = estimator(study, Synthetic(interrupts=after), logical=logical).run()
         if after:
-            with pytest.raises(InputError, match=r"enumerates all 546 scenarios.*set `budget` to 546 or more"):
+            with pytest.raises(InputError, match=r"runs all 546 scenarios.*set `budget` to 546 or more"):
                 estimator(study, budget=530, logical=logical)
         every = estimator(study, logical=logical).run()
     assert some.interrupted

@@ -139,11 +139,11 @@ def test_what_cannot_be_begun_from_is_refused_and_leaves_nothing(tmp_path, other
     fewer = LogicalScenario.read(X, ranges=["ego_start=20:80"])
     cases: dict[str, dict[str, Any]] = {
         "this space has no parameter": {"logical": fewer},
-        "bayes learns nothing from a study; use auto, level-set": {"optimizer": "bayes"},
+        "bayes learns nothing from another study; use auto, level-set": {"optimizer": "bayes"},
         "was not searched for the condition 'collision'; use a study with the same `critical_if`": {
             "critical_if": "collision"
         },
-        "without a threshold or condition bayes searches, which learns nothing": {
+        "without a threshold or condition the optimizer is bayes, which learns nothing": {
             "metrics": ("distance",),
             "critical": None,
             "optimizer": None,
@@ -198,7 +198,7 @@ def test_on_the_command_line(tmp_path, other):
     )  # fmt: skip
     refused = cornercase(*arguments, "--optimizer", "sobol")
     assert refused.returncode == 2
-    assert "--warm-start: sobol learns nothing from a study; use auto, level-set or committee." in refused.stderr
+    assert "--warm-start: sobol learns nothing from another study; use auto, level-set or committee." in refused.stderr
     assert cornercase(*arguments, "--optimizer", "level-set").returncode == 0
     with StudyFile.open(tmp_path / "new.db", readonly=True) as study:
         known = study.warm_start_data()

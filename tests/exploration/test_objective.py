@@ -187,7 +187,7 @@ def test_the_command_line_searches_sums_and_fronts_and_says_what_matters(tmp_pat
     assert len(shown["front"]) == is_on_pareto_front(scores).sum()
     refused = cornercase(*common, "--pareto", "--optimizer", "bayes", "-o", tmp_path / "b.db")
     assert refused.returncode == 2
-    assert "takes one score" in refused.stderr
+    assert "searches one score" in refused.stderr
     assert not (tmp_path / "b.db").exists()
 
     weighted = [*common, "--weight", "wttc=1", "--weight", "pet:signed=true=0.2", "--optimizer", "level-set"]

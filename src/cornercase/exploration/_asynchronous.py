@@ -26,20 +26,20 @@ from cornercase.study._objective import Objective
 
 
 def max_pending_scenarios(n_parallel: int) -> int:
-    """Number of scenarios in progress for `n_parallel` parallel simulators.
+    """Return how many scenarios are in progress at the same time, for `n_parallel` parallel simulators.
 
-    With one simulator it is one, so that each proposal is based on all results. Otherwise it is half as many again, so
-    that no simulator has to wait.
+    A single simulator gets one scenario, so that each proposal is based on all results. With several simulators, the
+    number is 1.5 times `n_parallel`, rounded up, so that no simulator has to wait.
     """
     return n_parallel if n_parallel == 1 else n_parallel + -(-n_parallel // 2)
 
 
 class AsynchronousExplorer(ScenarioExplorer):
-    """Searches a logical scenario without rounds.
+    """Explorer that searches a logical scenario without rounds.
 
     When a scenario has ended, the optimizer observes all results that have arrived, and proposes another scenario. The
     study stores the order of the results. A killed search is resumed identically: the optimizer observes the results in
-    this order, and pending scenarios run first. Parameters as for `ScenarioExplorer`.
+    this order, and pending scenarios run first. The parameters are the same as for `ScenarioExplorer`.
     """
 
     def __init__(
@@ -55,7 +55,8 @@ class AsynchronousExplorer(ScenarioExplorer):
         self._simulators = {"": simulator, **(references or {})}
         if config.patience is not None:
             self._patience, self._patience_unit = config.patience * config.batch, "scenarios"
-        # By scenario id: rows in progress, their repeats, those that need a reference run; new results.
+        # By scenario id: scenarios in progress, their runs, and conditions that need a run with a reference driver.
+        # After that: results that the optimizer has not observed yet.
         self._pending: dict[int, ScenarioRecord] = {}
         self._repeated_runs: dict[int, RepeatedRun] = {}
         self._pending_conditions: dict[int, PendingCondition] = {}
@@ -63,13 +64,13 @@ class AsynchronousExplorer(ScenarioExplorer):
         self._new_scores: dict[int, Any] = {}
 
     def _run_until_stop(self, bar: ProgressBar | None, check_interrupt: Callable[[], None]) -> str:
-        """Run scenarios in parallel; when nothing else runs, check if runs are deterministic."""
+        """Run scenarios until the search ends, then check if runs are deterministic; return why the search ended."""
         reason = self._run_without_rounds(bar, check_interrupt)
         self._runner.check_repeatability()
         return reason
 
     def _run_without_rounds(self, bar: ProgressBar | None, check_interrupt: Callable[[], None]) -> str:
-        """Run scenarios until a termination criterion holds and all have ended; return the criterion."""
+        """Run scenarios until a termination criterion holds and all runs have ended; return the criterion as text."""
         start, reason = time.monotonic(), None
         with closing(SimulatorStream(self._simulators)) as stream:
             proposed, number = self._resume_without_rounds(stream)
@@ -98,13 +99,16 @@ class AsynchronousExplorer(ScenarioExplorer):
                 self._clock.save_times()
 
     def _resume_without_rounds(self, stream: SimulatorStream) -> tuple[int, int]:
-        """Pass the stored results to the optimizer in their order, and submit pending scenarios."""
+        """Pass the stored results to the optimizer in their order, and submit pending scenarios.
+
+        Returns the number of stored scenarios, and the number of the last round.
+        """
         rows = self._study.rows()
         minimized = self._objective.minimized_scores(self._study)
         scores = dict(zip((row.id for row in rows if row.state == "done"), minimized, strict=True))
         for turn in iter_rounds(self._study):
             if not turn.proposed:
-                # The next round will be told further results as well.
+                # The optimizer observes these results together with further ones, before the next round.
                 self._new_results, self._new_scores = list(turn.finished), scores
                 break
             if turn.finished:
@@ -114,7 +118,7 @@ class AsynchronousExplorer(ScenarioExplorer):
                 self._ask_tell.ask(len(searched))
         pending = [row for row in rows if row.state == "pending"]
         if not pending:
-            # After the results with which the search ended, more have come.
+            # The search had ended, and scenarios that were still running at that time have given results since.
             self._stopping.check_again()
         self._submit_rows(stream, pending)
         return len(rows), rows[-1].round if rows else 0
@@ -139,7 +143,7 @@ class AsynchronousExplorer(ScenarioExplorer):
         )
 
     def _simulate_in_thread(self, concretes: Sequence[ConcreteScenario], simulator: Simulator) -> list[Any]:
-        """Run scenarios in a worker thread; must not access other state of the search."""
+        """Run scenarios in a worker thread, without access to other state of the search."""
         return list(self._runner.simulate(simulator, concretes))
 
     def _wait_for_result(self, stream: SimulatorStream, check_interrupt: Callable[[], None]) -> None:

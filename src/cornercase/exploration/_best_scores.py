@@ -9,7 +9,7 @@ from cornercase.study._objective import Objective
 
 
 def is_on_pareto_front(values: FloatArray) -> BoolArray:
-    """Return which rows are on the Pareto front, shape (m,): not dominated, with lower as better.
+    """Return which of m rows of values are on the Pareto front: no other row dominates them, lower values are better.
 
     A row with NaN is never on the front.
 
@@ -38,10 +38,11 @@ class BestScores:
         self._front = np.zeros((0, 1))
 
     def update(self, scores: FloatArray) -> bool:
-        """Add scores, shape (m,) or (m, k), and return whether any of them is an improvement.
+        """Add the scores of m scenarios, and return whether any score is an improvement.
 
-        Scores are lower where more critical, and NaN if the scenario failed. A score is an improvement if no earlier
-        score dominates it. A score at the cap of every metric is an improvement only once.
+        `scores` has shape (m,), or (m, k) for a Pareto front of k metrics. Lower scores are more critical; NaN means
+        that the scenario failed. A score is an improvement if no earlier score dominates it. A score at the cap of
+        every metric, the least critical value, is an improvement only once.
         """
         values = scores.reshape(len(scores), -1)
         values = values[np.isfinite(values).all(axis=1)]
@@ -59,7 +60,7 @@ class BestScores:
         return bool(is_new.any())
 
     def _update_single(self, values: FloatArray) -> bool:
-        """Like `update`, for a single metric. It is faster, since it is called for every scenario."""
+        """Do the same as `update` for a single metric, but faster, since this is done for every scenario."""
         best = float(self._front[0, 0]) if len(self._front) else np.inf
         is_new = (values <= best) & ~((values == best) & (values >= self._objective.least_critical_scores))
         self._front = np.full((1, 1), min(best, float(values.min())))

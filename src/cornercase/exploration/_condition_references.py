@@ -1,4 +1,4 @@
-"""Runs of a scenario with a reference driver, if the condition for critical scenarios depends on it."""
+"""Runs with a reference driver in the ego, for conditions of critical scenarios that depend on reference drivers."""
 
 from __future__ import annotations
 
@@ -21,10 +21,11 @@ SimulateScenarios = Callable[[Simulator, Sequence[ConcreteScenario]], Iterator[R
 
 @dataclass(eq=False)
 class PendingCondition:
-    """A finished scenario whose condition may depend on runs with reference drivers.
+    """A finished scenario with a condition that may still depend on runs with reference drivers.
 
-    `results` are by metric. `condition_state` is the condition evaluated without reference drivers.
-    `reference_outcomes` are the outcomes of the runs by driver. `error` says why one of these runs failed.
+    `results` has the results by name of the metric. `condition_state` is the condition evaluated without reference
+    drivers. `reference_outcomes` has the outcomes of the runs with reference drivers, by name of the driver. `error` is
+    the error of a run that failed.
     """
 
     row: ScenarioRecord
@@ -48,7 +49,7 @@ class PendingCondition:
         return {name: outcome.collides for name, outcome in self.reference_outcomes.items()}
 
     def decided_results(self) -> dict[str, MetricResult]:
-        """Results by metric, with the score that the condition has according to the reference drivers."""
+        """Return the results by metric; the score of the condition includes the runs with reference drivers."""
         metric = self.condition_state.metric
         result, score = self.results[metric.name], self.condition_state.score(self._collisions_by_reference)
         against = result.against if score < metric.cap else None
@@ -56,12 +57,12 @@ class PendingCondition:
 
 
 def scenario_for_reference(config: ExplorationConfig, row: ScenarioRecord) -> ConcreteScenario:
-    """Return the concrete scenario without what is varied of the ego's own driver."""
+    """Return the scenario to run with a reference driver: without the varied parameters of the ego's own driver."""
     return config.concrete_scenario(row.values, config.seed).without_driver_parameters(config.ego)
 
 
 class ReferenceRuns:
-    """Runs scenarios again, with a reference driver in place of the ego's driver."""
+    """Runner that repeats scenarios with a reference driver in place of the ego's driver."""
 
     def __init__(
         self,
@@ -75,13 +76,13 @@ class ReferenceRuns:
     def evaluate_condition(
         self, row: ScenarioRecord, recording: Recording, results: dict[str, MetricResult]
     ) -> PendingCondition:
-        """Evaluate the condition of a scenario without reference drivers."""
+        """Evaluate the condition of a finished scenario, as far as that is possible without reference drivers."""
         return PendingCondition(
             row, recording, results, self._condition.evaluate(recording, self._config.ego, self._config.others)
         )
 
     def decide_conditions(self, scenarios: Sequence[PendingCondition]) -> Iterator[PendingCondition]:
-        """Run reference drivers until every condition is decided; yield each scenario as soon as its condition is."""
+        """Run reference drivers until all conditions are decided; yield each scenario as soon as this is so."""
         remaining = list(scenarios)
         while remaining:
             for name in dict.fromkeys(item.next_reference for item in remaining):

@@ -58,9 +58,9 @@ class ExplorationConfig(ExplorationOptions):
 
     Some fields are normalized. `other` becomes a tuple if it has several names, and ``"*"`` becomes the names of all
     other entities. `max_repeats` becomes None if it equals `repeats`. `patience` counts rounds without a score at least
-    as critical as the best so far. A score at the metric's cap is an improvement only once. Without rounds, `patience`
-    and the stop criteria are evaluated after every `batch` results. Raises `InputError` for a wrong type, a value out
-    of range or an invalid criterion.
+    as critical as the best so far. A score at the metric's cap is an improvement only once. In a search without rounds,
+    `batch` scenarios count as a round. Raises `InputError` for a wrong type, a value out of range or an invalid
+    criterion.
     """
 
     logical: LogicalScenario
@@ -101,8 +101,8 @@ class ExplorationConfig(ExplorationOptions):
         example = f"{metric.name} {'<' if metric.lower_is_critical else '>'} {self.critical}"
         unit = "without a unit" if metric.unit == "1" else f"in {metric.unit}"
         return InputError(
-            f"`critical` {self.critical!r}: give a number {unit}, as {metric.name} has; only a condition takes units,"
-            f' as in `critical_if` "{example}".'
+            f"`critical` {self.critical!r}: give only a number, {unit} like {metric.name}; units are allowed only in a"
+            f' condition, as in `critical_if` "{example}".'
         )
 
     @property
@@ -120,7 +120,7 @@ class ExplorationConfig(ExplorationOptions):
                 raise InputError(f"`critical_if` is evaluated on one run of each scenario; leave `{name}` out.")
 
     def _decisive_max_repeats(self) -> int | None:
-        """Return the upper limit of runs per scenario; None if it equals `repeats`."""
+        """Check `max_repeats`, the upper limit of runs per scenario, and return it; None if it equals `repeats`."""
         limit = self.max_repeats
         if limit in (None, self.repeats):
             return None
@@ -143,11 +143,11 @@ class ExplorationConfig(ExplorationOptions):
         return limit
 
     def concrete_scenario(self, values: Mapping[str, Value], seed: int = 0) -> ConcreteScenario:
-        """Return a concrete scenario with values of the space, which need not be checked again."""
+        """Return the concrete scenario with these values of the space, which are not checked again."""
         return ConcreteScenario(self.logical.path, dict(values), self.logical.file, seed)
 
     def require_entities(self) -> None:
-        """Raise `InputError` if the ego, another entity or an entity with a driver is not in the scenario."""
+        """Raise `InputError` if the scenario lacks an entity that a setting names, or `critical_if` names the ego."""
         self.logical.scenario_file.require_entity(self.ego, "ego")
         for other in self.others:
             self.logical.scenario_file.require_entity(other, "other")
@@ -160,10 +160,11 @@ class ExplorationConfig(ExplorationOptions):
                 self.logical.scenario_file.require_entity(entity, "one that collides in `critical_if`")
 
     def make_objective(self, metrics: Sequence[Metric] | None = None, *, needs_threshold: bool = False) -> Objective:
-        """Create the objective from the metrics, unless others are given, with weights, Pareto front and threshold.
+        """Create the objective of the search from metrics, weights, Pareto option and threshold.
 
-        Raises `InputError` if a metric is unknown or cannot be used, if the options contradict each other, or if there
-        is no threshold although the optimizer, a stop criterion, `max_repeats` or the caller needs one.
+        `metrics` replaces the metrics of the settings. Raises `InputError` if a metric is unknown or cannot be used, or
+        if options contradict each other. A missing threshold is an error, too, if the optimizer, a stop criterion,
+        `max_repeats` or the caller (`needs_threshold`) needs a threshold.
         """
         if metrics is None:
             metrics = resolve_metrics(self.metrics)
@@ -177,7 +178,7 @@ class ExplorationConfig(ExplorationOptions):
         return objective.with_threshold(self.critical, is_required=needs_threshold)
 
     def make_condition(self) -> CriticalIf | None:
-        """Create the metric of `critical_if`; None without a condition."""
+        """Create the metric for the condition `critical_if`; None without a condition."""
         if self.critical_if is None:
             return None
         condition = CriticalIf.from_text(self.critical_if)
@@ -185,28 +186,28 @@ class ExplorationConfig(ExplorationOptions):
         return condition
 
     def require_own_code(self) -> None:
-        """Raise `InputError` if the code of a metric is missing, which only a study describes."""
+        """Raise `InputError` if the code of a metric is missing: a study describes a metric, but has no code."""
         for metric in as_items(self.metrics):
             if isinstance(metric, StoredMetric):
                 raise metric.missing_code()
 
     @property
     def stop_criteria(self) -> tuple[StopCriterion, ...]:
-        """The criteria in `stop_when`, which was checked to contain nothing else."""
+        """The criteria in `stop_when`, as objects."""
         return cast(tuple[StopCriterion, ...], self.stop_when)
 
     @cached_property
     def search(self) -> Optimizer:
-        """The optimizer that was named; otherwise `auto` if it is known what is critical, and `bayes` if not."""
+        """The given optimizer; by default `auto` if there is a threshold or a condition, otherwise `bayes`."""
         if self.optimizer is not None:
             return cast(Optimizer, self.optimizer)
         return OPTIMIZERS.create("bayes" if self.make_objective().criterion is None else "auto")
 
     def with_stored_optimizer(self, study: Path) -> ExplorationConfig:
-        """Return the configuration with the optimizer of the file `study`, if it exists and no other was named."""
+        """Return the configuration with the optimizer of the file `study`, if it exists and no optimizer was given."""
         stored, metrics = "none", tuple[str, ...]()
         if self.optimizer is None and study.exists():
-            # What else is wrong with the file is said when it is opened for writing.
+            # Other faults of the file are reported when it is opened for writing.
             with suppress(InputError), StudyFile.open(study) as opened:
                 stored, metrics = opened.meta.optimizer, opened.meta.metrics
         # Imported recordings and runs of suites were not searched.
@@ -214,7 +215,7 @@ class ExplorationConfig(ExplorationOptions):
             return self
         config = replace(self, optimizer=known_optimizer(stored))
         if "threshold" in config.search.requires:
-            # Other metrics may have none, but what does not fit are the metrics, which is said later.
+            # Other metrics may have no threshold. Then the error, reported later, is that the metrics do not fit.
             with suppress(InputError):
                 if metric_fields(self.make_objective().metrics)["metrics"] != metrics:
                     return self
@@ -226,9 +227,9 @@ class ExplorationConfig(ExplorationOptions):
         return self.search.start(self.logical.space, self.seed, threshold=threshold, budget=self.budget)
 
     def optimizer_text(self, stored: str) -> str:
-        """Return the text of the optimizer; that of a study, `stored`, if it makes the same optimizer."""
+        """Return the optimizer as text; `stored`, the text in a study, if both texts describe the same optimizer."""
         text, name = str(self.search), stored.partition(":")[0]
-        # A study makes nothing that the user did not name.
+        # A study may only create an optimizer that the user has named.
         if text != stored and text.partition(":")[0] == name and name in OPTIMIZERS:
             with suppress(InputError):
                 return stored if OPTIMIZERS.create(stored) == self.search else text
@@ -276,7 +277,7 @@ class ExplorationConfig(ExplorationOptions):
 
 
 def _check_optimizer(optimizer: str | Optimizer) -> Optimizer:
-    """Return the optimizer that was named, as an object that a study can store."""
+    """Return the given optimizer as an object; `InputError` if a study cannot store its name and options."""
     resolved = OPTIMIZERS.resolve(optimizer, "optimizer")
     OPTIMIZERS.check_own_name(resolved)
     if not is_built_in(resolved):
@@ -294,9 +295,10 @@ def config_from_study(
 ) -> ExplorationConfig:
     """Rebuild the configuration with which a study was explored.
 
-    `file` is the path of the study, for messages. `scenario` is the explored file; by default it is searched. Without
-    `simulator` the study's own is used. `drivers` are the user's own drivers by entity. `metrics` are all metrics,
-    which are needed if one is the user's own. Raises `InputError` if a file, driver or simulator is missing.
+    `file` is the path of the study, for messages. `scenario` is the explored file; by default the file is searched for.
+    `simulator` replaces the simulator of the study. `drivers` are the user's own drivers by entity. `metrics` are all
+    metrics of the study; they are needed if a metric is of the user's own class. Raises `InputError` if a file, driver
+    or simulator is missing.
     """
     meta = study.meta
     logical = read_logical_scenario(study, scenario)
@@ -313,9 +315,10 @@ def config_from_study(
 
 
 def simulator_from_study(meta: StudyMeta, file: Path) -> Simulator:
-    """Return a simulator like that of a study, with its settings and drivers; `file` is the path, for messages.
+    """Create a simulator from the name, settings and drivers that a study stores.
 
-    Raises `InputError` if the study only names it, or one of its options or drivers.
+    `file` is the path of the study, for messages. Raises `InputError` if the simulator or a driver is the user's own
+    code, or an option of the simulator is a text.
     """
     name = _simulator_to_continue(meta, file)
     if name != meta.simulator:
@@ -329,14 +332,14 @@ def simulator_from_study(meta: StudyMeta, file: Path) -> Simulator:
 
 
 def _simulator_to_continue(meta: StudyMeta, file: Path) -> str:
-    """Return the name of a study's simulator, with its options if all are numbers: texts could name programs."""
+    """Return a study's simulator as text; options are only included if all are numbers: texts could name programs."""
     name, _, options = meta.simulator.partition(":")
     if name == IMPORTED_SIMULATOR:
         raise InputError(f"{file}: contains imported recordings, so no further scenario can be run.")
     if name not in SIMULATORS:
         raise InputError(
             f"{file}: was explored with the simulator '{meta.simulator[:100]}', which is not installed here, or which"
-            f" Python code made; code that a study names is not run, so {_SIMULATOR_HINT}."
+            f" was defined in Python code; code that a study names is not run, so {_SIMULATOR_HINT}."
         )
     is_number = not SIMULATORS.takes_text(name) and all(map(_NUMERIC_OPTION.fullmatch, options.split(",")))
     return meta.simulator if is_number else name
@@ -345,7 +348,7 @@ def _simulator_to_continue(meta: StudyMeta, file: Path) -> str:
 def _drivers_to_continue(
     meta: StudyMeta, file: Path, given: Mapping[str, DriverLike] | None = None
 ) -> dict[str, DriverLike]:
-    """Return the drivers of a study by entity; `given` are those of the user, which the study can only name."""
+    """Return the drivers of a study by entity; `given` are the user's own drivers: the study has only their names."""
     drivers: dict[str, DriverLike] = dict(check_mapping("drivers", given or {}))
     for entity, driver in meta.drivers.items():
         # A study file must not make us import a module.
@@ -363,7 +366,7 @@ def _drivers_to_continue(
 
 
 def read_logical_scenario(study: StudyFile, scenario: Path | str | ScenarioFile | None) -> LogicalScenario:
-    """Read the scenario that was explored; by default its file is searched. `InputError` if there is none."""
+    """Read the scenario that was explored; by default the file is searched for. `InputError` if it is not found."""
     source = find_explored_scenario(study, scenario, search_stored_path=True)
     if source is None:
         raise InputError(f"{study.path}: contains imported recordings, so no further scenario can be run.")
@@ -371,7 +374,7 @@ def read_logical_scenario(study: StudyFile, scenario: Path | str | ScenarioFile 
 
 
 def metrics_to_continue(meta: StudyMeta) -> tuple[str | Metric, ...]:
-    """Return the metrics of a study by name; those of an unknown class as the study describes them."""
+    """Return the names of a study's metrics; for a metric of unknown class, an object with the stored description."""
     names = meta.metrics[1:] if meta.condition else meta.metrics
     return tuple(name if name.partition(":")[0] in METRICS else meta.create_metric(name) for name in names)
 

@@ -1,4 +1,4 @@
-"""Detect metrics with the same score in all scenarios, and thresholds that make all scenarios the same."""
+"""Detect metrics with the same score in all scenarios, and thresholds that all scores or no scores pass."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ MIN_SCENARIOS_TO_COMPARE: Final = 10
 
 
 def describe_constant_metrics(study: StudyFile) -> dict[str, str]:
-    """Describe each metric that has the same score in all scenarios of a study; empty for fewer than 10 scenarios.
+    """Describe, by name, each metric that has the same score in all scenarios; empty for fewer than 10 scenarios.
 
-    If such a metric is searched, the search has no gradient to follow. For other metrics this may be fine.
+    If a metric with equal scores is searched, the search has no gradient to follow. For other metrics this may be fine.
     """
     sentences: dict[str, str] = {}
     if len(study.finished_rows()) < MIN_SCENARIOS_TO_COMPARE:
@@ -49,7 +49,10 @@ def describe_constant_metrics(study: StudyFile) -> dict[str, str]:
 
 
 def warn_about_threshold(objective: Objective, name: str) -> None:
-    """Issue a `NoticeWarning` if no score or each score of the metric passes the threshold; `name` is the argument."""
+    """Issue a `NoticeWarning` if no score or each score of the metric passes the threshold.
+
+    `name` is the argument that contains the threshold, for the message.
+    """
     if objective.weights or objective.threshold is None:
         return
     metric, threshold = objective.metrics[0], objective.threshold

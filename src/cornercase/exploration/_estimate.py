@@ -60,10 +60,10 @@ def estimate(
 ) -> Estimation:
     """Estimate the probability of critical scenarios and collisions under the distributions of a study's space.
 
-    New scenarios are run with the study's simulator and settings, and stored in a separate study. First, the sampling
-    distribution is learned, in rounds that begin with what the explored study knows. The independent draws after that
-    give an unbiased estimate. If you call it again, it resumes where it stopped; with a larger `budget` it continues
-    from there.
+    New scenarios are run with the study's simulator and settings, and stored in a separate study. First, a sampling
+    distribution is learned in several rounds, starting from the results of the explored study. Then scenarios are drawn
+    independently from this distribution; they give an unbiased estimate. If you call `estimate` again with the same
+    arguments, the estimate is resumed; with a larger `budget` it continues.
 
     Parameters
     ----------
@@ -76,14 +76,14 @@ def estimate(
     critical : float, optional
         Threshold: score from which a scenario is critical. Default: that of the study.
     encounter : float, default 10.0
-        The ego and the other have an encounter if the gap between their boxes is at most this many m at some time.
+        Gap in m: two entities have an encounter if the gap between their boxes is at some time not larger than this.
     seed : int, default 0
         The same seed gives the same result.
     scenario : path or ScenarioFile, optional
         The explored file. By default it is searched for at its stored path, next to the study and in the current
         folder, and recognized by its fingerprint.
     simulator : str or Simulator, optional
-        Default: that of the study, without options.
+        By default the simulator of the study. The study's options of the simulator are only used if all are numbers.
     drivers : mapping of str to str, SystemUnderTest or Driver, optional
         Your own drivers by entity, if the study was explored with any; presets are taken from the study.
     metrics : sequence of Metric or str, optional
@@ -104,7 +104,8 @@ def estimate(
     Raises
     ------
     InputError
-        An argument cannot be used, the study has no threshold or belongs to something else, or the output does.
+        An argument cannot be used, the study has no threshold or was explored with other settings, or the output
+        belongs to another estimate or exploration.
 
     See Also
     --------
@@ -159,7 +160,7 @@ def _estimate_config(
     drivers: Mapping[str, DriverLike],
     metrics: Sequence[Metric | str],
 ) -> ExplorationConfig:
-    """Return the study's configuration with another budget and seed."""
+    """Return the configuration of an explored study, changed for an estimate with this budget and seed."""
     if study.meta.pareto:
         raise InputError(f"{study.path}: was searched for a Pareto front, so it has no threshold; give another study.")
     config = config_from_study(study, study.path, scenario, simulator, drivers, metrics)
@@ -192,7 +193,8 @@ def _estimate_config(
 def _stored_sample_sizes(output: Path, n_learn: int) -> tuple[int, int | None]:
     """Return how many scenarios are for learning, and how many scenarios of the explored study are used.
 
-    For a resumed estimate both numbers are those stored in the output. For a new one, the second is None.
+    A resumed estimate has the numbers that are stored in its output. A new estimate has `n_learn` and None, which
+    stands for all scenarios of the study.
     """
     if output.exists():
         with suppress(InputError), StudyFile.open(output, readonly=True) as existing:

@@ -25,8 +25,8 @@ _MAX_SINGLE_SHARE: Final = 0.2
 class EventOutcomes:
     """Outcomes of n scenarios of an estimate.
 
-    `scores`, shape (n,), are lower where more critical, and NaN if the scenario failed. `is_critical`, `has_collision`
-    and `has_encounter`, shape (n,), say whether the event occurred; False if the scenario failed.
+    `scores`, shape (n,), are lower for more critical scenarios, and NaN if a scenario failed. `is_critical`,
+    `has_collision` and `has_encounter`, shape (n,), say whether the event occurred; False if a scenario failed.
     """
 
     scores: FloatArray
@@ -36,12 +36,12 @@ class EventOutcomes:
 
     @property
     def event_columns(self) -> BoolArray:
-        """The events critical and collision as two columns, shape (n, 2)."""
+        """`is_critical` and `has_collision` as two columns, shape (n, 2)."""
         return np.stack([self.is_critical, self.has_collision], axis=1)
 
     @property
     def is_failed(self) -> BoolArray:
-        """Which scenarios failed, shape (n,)."""
+        """True for each scenario that failed, shape (n,)."""
         return np.isnan(self.scores)
 
     @classmethod
@@ -57,7 +57,7 @@ class EventOutcomes:
         )
 
 
-# Of no scenario, of one, and of several.
+# By event: the predicate of a sentence about no scenario, one scenario, and several scenarios.
 _CONDITIONS: Final = {
     "critical scenario": ("is critical", "is critical", "are critical"),
     "collision": ("has a collision", "has one", "have one"),
@@ -68,16 +68,17 @@ _CONDITIONS: Final = {
 class Estimation:
     """Probabilities of events under the distributions of a space.
 
-    They come from different draws, so they agree within their intervals, not to the digit. That of an encounter is the
-    fraction of the first draws, which come from the distributions themselves; a larger budget does not add to them.
-    Those of critical scenarios and collisions are sums of weights of the later draws, from the proposal distribution:
-    weights are 1 only on average, so an event that was met in all of them may have 0.95. Conditional probabilities are
-    quotients of the two. `table` says which is which.
+    The first scenarios are drawn from the distributions themselves; a larger budget does not add to these scenarios.
+    The probability of an encounter is the fraction of these scenarios with an encounter. Later scenarios are drawn from
+    a learned proposal distribution and have importance weights. The probabilities of critical scenarios and collisions
+    are computed from these weights. Since weights are 1 only on average, the estimate may be 0.95 for an event that
+    occurs in all scenarios. Conditional probabilities are quotients of two probabilities. All values agree within their
+    intervals, but not to the last digit, since they come from different scenarios. `table` lists the method of each.
 
     Attributes
     ----------
     study : Path
-        Contains all scenarios that were run for the estimate.
+        Study file with all scenarios that were run for the estimate.
     criterion : str
         What is critical, such as ``"ttc <= 0.5 s"``.
     encounter_gap : float
@@ -92,7 +93,7 @@ class Estimation:
     warnings : tuple of str
         Reasons not to trust the result, as sentences.
     interrupted : bool
-        Whether it ended before its budget was used up.
+        Whether the estimate ended before its budget was used up.
 
     Examples
     --------
@@ -130,9 +131,10 @@ class Estimation:
         Returns
         -------
         DataFrame
-            One row per event, indexed by its name: ``probability``, the bounds ``low`` and ``high`` of its 95 %
-            interval, ``error``, the relative standard error, the number of ``scenarios`` that it is estimated from,
-            in how many of these the event was ``met``, and the ``method``. Probabilities that are unknown are left out.
+            One row per event, indexed by the name of the event. The columns are ``probability``; the bounds ``low`` and
+            ``high`` of its 95 % interval; ``error``, its relative standard error; ``scenarios``, the number of
+            scenarios behind the estimate; ``met``, the number of these scenarios in which the event occurred; and
+            ``method``. Unknown probabilities are left out.
         """
         import pandas as pd
 
@@ -190,9 +192,9 @@ def describe_doubts(
 ) -> list[str]:
     """Describe, in sentences, why the estimated probability of `event` may be wrong.
 
-    `estimate` is the probability from all draws, `direct_estimate` that from draws of the space's own distributions
-    only. `n_counting` scenarios were drawn for either. `n_uncounted` others, which only taught where to draw, have the
-    event.
+    `estimate` is the estimated probability. `direct_estimate` is the probability estimated only from scenarios that
+    were drawn from the space's own distributions. `n_counting` is the number of scenarios behind the two estimates.
+    `n_uncounted` is the number of other scenarios with the event, which were run only to learn where to draw.
     """
     if estimate.error == 0.0:
         return []
@@ -229,5 +231,8 @@ def describe_doubts(
 
 
 def probability_from_direct_draws(occurred: BoolArray) -> Probability:
-    """Probability of an event from draws of the space's own distributions; `occurred` has shape (n,)."""
+    """Estimate the probability of an event from n scenarios drawn from the space's own distributions.
+
+    `occurred`, shape (n,), says whether the event occurred in a scenario.
+    """
     return probability_from_counts(int(occurred.sum()), len(occurred))

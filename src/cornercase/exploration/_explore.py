@@ -54,8 +54,8 @@ def explore(
 ) -> ExplorationResult:
     """Search a logical scenario for critical concrete scenarios, and store the results in a study.
 
-    Each scenario is stored as soon as it has ended. If you call it again with the same arguments, it resumes where it
-    stopped; with a larger `budget` it continues from there.
+    Each scenario is stored as soon as it has ended. If you call `explore` again with the same arguments, a search that
+    was stopped is resumed; with a larger `budget` it continues.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ def explore(
     Raises
     ------
     InputError
-        An argument cannot be used, or the study belongs to another exploration; it is left unchanged.
+        An argument cannot be used, or the study belongs to another exploration; the study is left unchanged.
 
     Warns
     -----
@@ -127,9 +127,9 @@ def _verify_proposals_of_study(config: ExplorationConfig, study: Path) -> Explor
 
 def _make_objective_and_optimizer(config: ExplorationConfig) -> tuple[Objective, Optimizer]:
     """Create the objective, and a fresh optimizer for it."""
-    # Before the objective: a search that needs a threshold would only be told that a front has none.
+    # Checked before the objective is created, whose error would only say that a Pareto front has no threshold.
     if config.pareto and not config.search.multi_objective:
-        raise InputError(f"`pareto`: {config.search} takes one score; use evolutionary, or optuna:sampler=nsga2.")
+        raise InputError(f"`pareto`: {config.search} searches one score; use evolutionary, or optuna:sampler=nsga2.")
     objective = config.make_objective()
     return objective, config.start_optimizer(objective)
 
@@ -144,11 +144,11 @@ def _load_warm_start(
     if not optimizer.supports_warm_start:
         if config.optimizer is None:
             raise InputError(
-                f"`warm_start`: without a threshold or condition {config.search} searches, which learns nothing from a"
-                " study; say what is critical by `critical`."
+                f"`warm_start`: without a threshold or condition the optimizer is {config.search}, which learns nothing"
+                " from another study; give a threshold with `critical`."
             )
         raise InputError(
-            f"`warm_start`: {config.search} learns nothing from a study; use auto, level-set or committee."
+            f"`warm_start`: {config.search} learns nothing from another study; use auto, level-set or committee."
         )
     return read_warm_start(Path(config.warm_start), config.logical.space, objective, config.ego, config.others)
 
@@ -160,7 +160,7 @@ def explore_config(
     *,
     retry_failed: bool = False,
 ) -> ExplorationResult:
-    """Run the exploration of a configuration, in a new or existing study; otherwise like `explore`."""
+    """Explore with the settings of a configuration, in a new or existing study; otherwise like `explore`."""
     file = check_path("study", study)
     check_bool("progress", progress)
     check_bool("retry_failed", retry_failed)
@@ -226,7 +226,7 @@ def _run_exploration(
 
 
 def _notices_at_center(config: ExplorationConfig, simulator: Simulator) -> tuple[Notice, ...]:
-    """List what has no effect in the simulator, for the scenario at the centre of the space."""
+    """List content of the scenario at the centre of the space that has no effect in the simulator."""
     middle_values = config.logical.space.values(config.logical.space.center_point())
     return list_ignored_content(simulator, config.logical.scenario_file, middle_values[0] if middle_values else None)
 

@@ -1,4 +1,4 @@
-"""Table of the options of an exploration, from which Python, the command line, study files and pages are generated.
+"""Table of the options of an exploration, for Python functions, the command line, study files and documentation.
 
 A new option is one entry here, one line in `ExploreOptions` for type checkers, and the code that uses it.
 """
@@ -32,20 +32,21 @@ _study = partial(option, panel="Study", in_file=False)
 # fmt: off
 @dataclass(frozen=True, kw_only=True)
 class SpaceOptions:
-    """Options that say what varies, if the logical scenario is a file."""
+    """Options that define which parameters vary, if the logical scenario is given as a file."""
 
     space: Path | str | None = _problem(
         None, "ParameterValueDistribution file.", metavar="FILE.xosc",
-        docs="ParameterValueDistribution file. Like `ranges`, `vary` and `continuous`, only if `scenario` is a path.")
+        docs="ParameterValueDistribution file. `space`, `ranges`, `vary` and `continuous` need a `scenario` that is a"
+        " path.")
     ranges: tuple[str, ...] = _problem(
         (), "Add or replace a parameter.", flag="--range", metavar="NAME=LOW:HIGH[:STEP]",
-        docs="``NAME=LOW:HIGH[:STEP]``; they add parameters to the space or replace them.")
+        docs="Each ``NAME=LOW:HIGH[:STEP]`` adds a parameter to the space, or replaces the parameter of this name.")
     vary: tuple[str, ...] = _problem(
-        (), "Vary a number of the file, by its name in the list of 'cornercase vary FILE.xosc'; without a range, in the"
-        " proposed range.", metavar="NAME[=LOW:HIGH[:STEP]]",
-        docs="``NAME=LOW:HIGH[:STEP]`` or ``NAME`` for numbers in the file, under the names that"
-        " `cornercase.scenario.list_variables` gives them. A copy of the scenario with parameters in their place is"
-        " written next to the study as ``STUDY.varied.xosc`` and explored.")
+        (), "Vary a number of the file, by its name in the list of 'cornercase vary FILE.xosc'; without a range, the"
+        " range proposed there is used.", metavar="NAME[=LOW:HIGH[:STEP]]",
+        docs="Numbers in the scenario file to vary, as ``NAME=LOW:HIGH[:STEP]``, or ``NAME`` with the proposed range;"
+        " `cornercase.scenario.list_variables` lists the names. A copy of the scenario, with parameters for these"
+        " numbers, is written next to the study as ``STUDY.varied.xosc`` and explored.")
     continuous: bool = _problem(False, "Search ranges with steps as continuous intervals.")
 
 
@@ -66,8 +67,9 @@ class ExplorationOptions(SimulationOptions, RunOptions):
         panel=_PROBLEM, flag="--metric", metavar="NAME",
         stored=lambda meta: meta.metrics[1:] if meta.condition else meta.metrics)})
     critical_if: str | None = _problem(
-        None, "Search a condition instead: 'collision and not reference:cc-human' is what this driver would have"
-        " prevented; bounds on scores ('ttc < 1'), temporal operators, and, or, not: see the page Expressions.",
+        None, "Search for a condition, without threshold: 'collision and not reference:cc-human' holds for a collision"
+        " that the driver cc-human would have prevented. Bounds on scores ('ttc < 1'), temporal operators, and, or, not"
+        " are explained on the page Expressions.",
         metavar="CONDITION",
         docs="Condition that replaces metric and threshold, and is searched: ``\"collision and not"
         ' reference:cc-human"``. It consists of ``collision`` (of the ego with anybody), ``reference:NAME`` (the ego'
@@ -75,35 +77,36 @@ class ExplorationOptions(SimulationOptions, RunOptions):
         " and brackets. If the result depends on a reference, the scenario is run a second time.",
         stored=lambda meta: meta.condition or None)
     critical: float | None = _problem(
-        None, "Score from which a scenario is critical; default: the metric's own.", metavar="X",
+        None, "Score from which a scenario is critical; default: the metric's own threshold.", metavar="X",
         stored=lambda meta: None if meta.condition else meta.critical)
     optimizer: str | Optimizer | None = _search(
         None, "auto, bayes, level-set, committee, evolutionary, optuna, sobol, grid or random; options after a colon,"
         " as in bayes:filling=0. Default: auto, or bayes if no threshold or condition says what is critical.",
         metavar="NAME", stored="optimizer",
-        docs="Such as ``cornercase.optimizers.LevelSet(filling=0.1)``; in text, options follow a colon:"
+        docs="Optimizer, such as ``cornercase.optimizers.LevelSet(filling=0.1)``; in text, options follow a colon:"
         ' ``"bayes:filling=0"``. By default ``auto``, or ``bayes`` if no threshold or condition says what is critical;'
-        " a study that was searched before keeps its own.")
+        " a study that was searched before keeps its optimizer.")
     budget: int = _search(200, "Number of concrete scenarios to run in all.", metavar="N", minimum=1, stored="budget")
     seed: int = _search(0, "Same seed, same result.", metavar="N", minimum=0, stored="seed")
     batch: int = _search(10, "Number of concrete scenarios in a round.", metavar="N", minimum=1, stored="batch")
     weights: Mapping[str, float] = _search(
         dict, "Search the weighted sum of these metrics.", flag="--weight", metavar="METRIC=W", stored="weights",
-        docs="By metric, above 0: search the minimum of the weighted sum of the scores. A score that is critical when"
-        " high is subtracted; its weight is positive, too.")
+        docs="Weight of each metric, above 0: the minimum of the weighted sum of the scores is searched. Scores that"
+        " are critical when high are subtracted; give a positive weight for them, too.")
     pareto: bool = _search(False, "Search the Pareto front of all metrics.", stored="pareto")
     repeats: int = _search(
         1, "Run each scenario N times; its score is the median.", metavar="N", minimum=1, stored="repeats",
-        docs="How often each scenario is run; the median score counts.")
+        docs="Number of runs of each scenario; the median score counts.")
     max_repeats: int | None = _search(
-        None, "Run a scenario N times more, up to M times in all, while it is open whether it is critical: while the"
+        None, "Run a scenario up to M times, as long as its runs do not show whether it is critical: while the"
         " 90 % interval of the probability that a run is critical contains 0.5.", metavar="M", minimum=1,
         stored="most_repeats",
-        docs="Upper limit of runs per scenario. A scenario gets `repeats` further runs as long as it is undecided on"
-        " which side of the threshold it is: while the 90 % interval of the probability that a run is critical"
-        " (`cornercase.study.StudyFile.critical_run_rates`) contains 0.5. Default: each is run `repeats` times.")
+        docs="Upper limit of runs per scenario. A scenario gets `repeats` further runs as long as its runs do not show"
+        " whether it is critical: while the 90 % interval of the probability that a run is critical"
+        " (`cornercase.study.StudyFile.critical_run_rates`) contains 0.5. By default each scenario is run `repeats`"
+        " times.")
     audit: float = _search(
-        0.0, "Share of scenarios, up to 0.5, drawn at random and hidden from the search, to judge what it found.",
+        0.0, "Share of scenarios, up to 0.5, drawn at random and hidden from the search, to judge its results.",
         metavar="SHARE", minimum=0.0, stored="audit")
     asynchronous: bool = _search(
         False, "Work without rounds: propose the next scenario as soon as one has ended.", stored="asynchronous",
@@ -111,7 +114,7 @@ class ExplorationOptions(SimulationOptions, RunOptions):
         " seed gives the same result. With several, the result depends on the order in which scenarios end, which is"
         " stored.")
     warm_start: Path | str | None = _search(
-        None, "Begin from the scores of a study of the same parameters: another driver, simulator or time step.",
+        None, "Begin with the scores of another study: same parameters, but another driver, simulator or time step.",
         metavar="OTHER.db", stored=lambda meta: meta.elsewhere.get("study"),
         docs="Study with the same parameters but another driver, simulator or time step, whose scores warm-start the"
         " search. They are copied; a search that is resumed does not need that study.")
@@ -119,12 +122,14 @@ class ExplorationOptions(SimulationOptions, RunOptions):
         (), "Stop when enough is known about the critical set: missed<0.01, missed(0.7)<0.01, interval<0.05,"
         " overlooked(0.01)<0.05,"
         " unvisited(0.01)<0.05, audited-missed<0.1; with several, when all hold.", metavar="WHAT<X",
-        docs="Stop when the critical set is known this well, such as ``cornercase.stop.missed(0.01)`` or"
-        ' ``"missed<0.01"``; all criteria must hold. `cornercase.stop.seconds` and `cornercase.stop.no_improvement` end'
-        " it by themselves.")
+        docs="Stop when the critical set is known well enough: criteria such as ``cornercase.stop.missed(0.01)`` or"
+        ' ``"missed<0.01"``, which all must hold. `cornercase.stop.seconds` and `cornercase.stop.no_improvement` each'
+        " end the search on their own.")
     patience: int | None = _search(
-        None, "Stop after N rounds without anything new (asynchronous: after as many scenarios).", metavar="N",
-        docs="Stop after this many rounds without an improvement; without rounds, after as many scenarios.", minimum=1)
+        None, "Stop after N rounds without an improvement (asynchronous: after N times --batch scenarios).",
+        metavar="N", minimum=1,
+        docs="Stop after this number of rounds without an improvement; without rounds, `batch` scenarios count as a"
+        " round.")
     max_seconds: float | None = _search(None, "Start no new round after this time in s.", metavar="S", minimum=0.0)
 
 
@@ -134,7 +139,7 @@ class OneTimeOptions:
 
     check_proposals: bool = _study(False, "Simulate nothing; test whether the stored results give the same proposals.")
     retry_failed: bool = _study(
-        False, "First run the failed scenarios of the study once more; later proposals stay.")
+        False, "First run the failed scenarios of the study once more; scenarios proposed after them stay.")
 # fmt: on
 
 
@@ -177,11 +182,11 @@ SPACE_OPTIONS: Final = read_options(SpaceOptions)
 CONFIG_OPTIONS: Final = read_options(ExplorationOptions)
 CALL_OPTIONS: Final = read_options(OneTimeOptions)
 SEARCH_SETTINGS: Final = {name for name, item in OPTIONS.items() if item.stored == "settings"}
-"""Keys of the settings of a study that are none of its simulator."""
+"""Keys of those settings in a study that do not belong to the simulator."""
 
 
 def stored_values(meta: StudyMeta) -> dict[str, Any]:
-    """Return the options that a study was explored with, as far as they are stored; None if one has no value."""
+    """Return the options with which a study was explored, if they are stored; None for an option without a value."""
     fields_of_study = meta.to_json()
     values = {}
     for name, item in OPTIONS.items():
@@ -196,7 +201,7 @@ def stored_values(meta: StudyMeta) -> dict[str, Any]:
 
 
 def stored_search_settings(meta: StudyMeta) -> dict[str, Any]:
-    """Return how a study was searched, as far as it is no part of the problem; without default values."""
+    """Return the options of a study's search that `Problem` and `Study` do not hold, without default values."""
     return {
         name: value
         for name, value in stored_values(meta).items()

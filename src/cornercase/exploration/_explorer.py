@@ -45,14 +45,15 @@ class ExplorationResult:
     done, failed : int
         Number of scenarios in the study that gave a result, and that failed.
     reason : str
-        Why it ended, as a part of a sentence.
+        Why the exploration ended, as a part of a sentence.
     interrupted : bool
-        Whether Ctrl-C ended it. Only a result of `cornercase.explore` can say so: `Study.explore` raises
-        KeyboardInterrupt instead.
+        Whether Ctrl-C ended the exploration. It can only be True in a result of `cornercase.explore`: `Study.explore`
+        raises KeyboardInterrupt instead.
     constant_metrics : tuple of str
         A sentence for each searched metric that has the same score in all scenarios.
     new_constant_metrics : tuple of str
-        The same for metrics that are not searched, unless this was reported before for this study.
+        A sentence for each metric that is not searched and has the same score in all scenarios; empty if this was
+        reported before for this study.
     reproducible : bool or None
         Whether the stored results led to the same proposals again; None if this was not checked.
     failure_counts : mapping of str to int
@@ -94,8 +95,8 @@ class ExplorationResult:
         reason : str
         interrupted : bool, default False
         n_done_before : int, optional
-            Number of scenarios that the study held when this search started or was resumed; by default no notes are
-            made.
+            Number of scenarios with a result when this search started or was resumed. By default
+            `new_constant_metrics` is empty.
 
         Returns
         -------
@@ -134,18 +135,18 @@ class ExplorationResult:
         return f"<ExplorationResult: {self.done} scenarios done{failed} in {self.study}; {self.reason}>"
 
     def _repr_html_(self) -> str:
-        """How it ended, what never varies, and why scenarios failed, for notebooks."""
+        """HTML for notebooks: why the exploration ended, which metrics never vary, and why scenarios failed."""
         failures = [f"{count} failed: {reason}" for reason, count in self.failure_counts.items()]
         lines = [*self.constant_metrics, *self.new_constant_metrics, *failures]
         return render_html(repr(self), "".join(map(render_html, lines)))
 
 
 class ScenarioExplorer:
-    """Searches a logical scenario in rounds, steps (1) to (6) of the paper's activity diagram.
+    """Explorer that searches a logical scenario in rounds: steps (1) to (6) of the paper's activity diagram.
 
     In each round the optimizer chooses parameters, the simulator runs the scenarios, and the metrics evaluate them.
-    This is repeated until a termination criterion holds. Each scenario is stored as soon as it has ended. An existing
-    study is resumed. `optimizer` must not have observed anything, since it first observes the content of the study.
+    Rounds are repeated until a termination criterion holds. Each scenario is stored as soon as it has ended. An
+    existing study is resumed. `optimizer` must be new, since it first observes the results that the study holds.
     `references` are simulators with a reference driver in the ego, by name of the driver.
     """
 
@@ -201,7 +202,7 @@ class ScenarioExplorer:
         return ExplorationResult.from_study(self._study, reason, n_done_before=before)
 
     def _run_until_stop(self, bar: ProgressBar | None, check_interrupt: Callable[[], None]) -> str:
-        """Run rounds, and return why the search ended."""
+        """Run rounds until the search ends; return why it ended."""
         start = time.monotonic()
         done, number = self._resume_study(bar)
         while True:
@@ -229,7 +230,7 @@ class ScenarioExplorer:
             return self._study.writer.add_pending(round_number, points, self._space.values(points))
 
     def _stop_reason(self, n_done: int, seconds: float) -> str | None:
-        """Return the termination criterion that holds; None if none does."""
+        """Return the termination criterion that holds, as text; None to go on."""
         config = self._config
         if n_done > config.budget:
             return (
@@ -267,9 +268,9 @@ class ScenarioExplorer:
             return self._stopping.describe_if_all_reached()
 
     def _resume_study(self, bar: ProgressBar | None) -> tuple[int, int]:
-        """Run pending scenarios and pass all results to the optimizer; return numbers of scenarios and of rounds.
+        """Run pending scenarios and pass all results to the optimizer; return the numbers of scenarios and rounds.
 
-        An optimizer whose state depends on the calls of `ask` is asked again for each round, as before.
+        If the optimizer's proposals depend on earlier calls of `ask`, these calls are repeated for each round.
         """
         rows = self._study.rows()
         minimized = self._objective.minimized_scores(self._study)
@@ -285,7 +286,7 @@ class ScenarioExplorer:
         return len(rows), rows[-1].round if rows else 0
 
     def _simulate_rows(self, rows: list[ScenarioRecord], bar: ProgressBar | None) -> dict[int, Any]:
-        """Run scenarios; return the scores of the successful ones by id, lower where more critical."""
+        """Run scenarios; return the scores of the successful scenarios by id. Lower scores are more critical."""
         scores: dict[int, Any] = {}
         best, farthest = copy(self._incumbent), 0
         for number, score in self._runner.run_and_score(rows):
@@ -298,7 +299,10 @@ class ScenarioExplorer:
         return scores
 
     def _tell_round(self, rows: list[ScenarioRecord], scores_by_id: Mapping[int, Any]) -> None:
-        """Pass the scores of one round to the optimizer and the stop criteria; the optimizer does not get audits."""
+        """Pass the scores of one round to the optimizer and the stop criteria.
+
+        The optimizer does not get audits (scenarios drawn at random as a check).
+        """
         failed = np.full_like(self._objective.least_critical_scores, np.nan)
         missing = failed if self._objective.pareto else np.nan
         scores = np.array([scores_by_id.get(row.id, missing) for row in rows])
@@ -320,10 +324,10 @@ class ScenarioExplorer:
         self._update_patience(scores)
 
     def _update_patience(self, scores: FloatArray) -> None:
-        """Count the rounds in a row without an improvement."""
+        """Count the consecutive rounds without an improvement."""
         self._n_without_improvement = 0 if self._incumbent.update(scores) else self._n_without_improvement + 1
 
     def _read_features(self, rows: list[ScenarioRecord], scores_by_id: Mapping[int, Any]) -> FloatArray:
-        """Features of the stored recordings of one round, shape (m, f)."""
+        """Return f features of the recordings of m scenarios, shape (m, f); NaN for a failed scenario."""
         with self._clock("measure"):
             return self._study.features([row.id if row.id in scores_by_id else None for row in rows])

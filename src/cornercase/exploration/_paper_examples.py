@@ -44,8 +44,9 @@ def paper_experiment_config(
 ) -> ExplorationConfig:
     """Return the configuration of one of the paper's experiments, searched by `bayes` as in the paper.
 
-    `driver` replaces the driver of the ego in the file. If a `folder` is given, the example's files are copied there
-    and explored there. Raises `InputError` if the name is unknown, or a file cannot be written or was changed.
+    `driver` replaces the driver of the ego in the file. If a `folder` is given, the example's files are copied to this
+    folder and explored there. Raises `InputError` if the name is unknown, or a file in the folder cannot be written or
+    differs from the example's file.
     """
     if name not in _EXPERIMENT_SETTINGS:
         raise InputError(f"There is no example '{name}'; {suggest_name(name, _EXPERIMENT_SETTINGS)}")
@@ -78,7 +79,10 @@ def _copy_example_files(example: Path, folder: Path) -> Path:
 
 
 def paper_experiment_mutant_count(name: str) -> int | None:
-    """Return the number of driver mutants that select the regression suite of a demonstration; None without a suite."""
+    """Return how many driver mutants a demonstration creates to select a test suite; None if it selects no suite.
+
+    A mutant is the ego's driver with one parameter degraded.
+    """
     return _MUTANT_COUNTS.get(name)
 
 

@@ -35,10 +35,10 @@ _MAX_ENUMERATED_SPACE: Final = 100_000
 
 
 class ProbabilityEstimator:
-    """Draws and runs scenarios until the budget is used up, and estimates probabilities of events.
+    """Estimator of the probabilities of events, which draws and runs scenarios until the budget is used up.
 
-    Each scenario is stored as soon as it has ended. An existing study is resumed. `sampling` must not have observed
-    anything, since it first observes the content of the study. Two entities have an encounter if their gap is at most
+    Each scenario is stored as soon as it has ended. An existing study is resumed. `sampling` must be new, since it
+    first observes the results that the study holds. Two entities have an encounter if their gap is at most
     `encounter_gap` in m.
     """
 
@@ -63,7 +63,10 @@ class ProbabilityEstimator:
         self._progress_label = ""
 
     def _plan_exhaustive_run(self) -> bool:
-        """Whether all scenarios of a small space are run, within the budget; the result is then exact."""
+        """Plan to run all scenarios of a small space if the budget suffices, and return whether that is planned.
+
+        The estimate is then exact.
+        """
         rows, budget, size = self._study.rows(), self._config.budget, self._space.size
         if size is None or size > max(budget, _MAX_ENUMERATED_SPACE):
             return False
@@ -77,7 +80,7 @@ class ProbabilityEstimator:
             return True
         if rows and row_keys_done == keys[: len(rows)]:
             raise InputError(
-                f"{self._study.path}: enumerates all {len(lattice)} scenarios of the space; set `budget` to"
+                f"{self._study.path}: runs all {len(lattice)} scenarios of the space; set `budget` to"
                 f" {len(lattice)} or more."
             )
         return False
@@ -119,9 +122,9 @@ class ProbabilityEstimator:
             self._study.writer.save_analysis("estimate", {"ids": ids, "weights": weights}, estimation.to_json())
 
     def _first_occurrences(self, rows: Sequence[ScenarioRecord]) -> IntArray:
-        """Indices of the first occurrence of each scenario.
+        """Return the indices of scenarios that do not repeat an earlier scenario.
 
-        Scenarios that were drawn before the exhaustive run may repeat.
+        Scenarios that were drawn before all scenarios were run may repeat.
         """
         return np.sort(np.unique(np.array(self._row_keys(rows)), return_index=True)[1])
 
@@ -146,7 +149,7 @@ class ProbabilityEstimator:
             self._clock.save_times()
 
     def _next_points(self, n_done: int) -> FloatArray:
-        """Points of the next round; empty if there is none."""
+        """Return the points of the next round; empty if there is no further round."""
         if self._is_exhaustive:
             points, self._remaining_points = self._remaining_points[:_ROUND_SIZE], self._remaining_points[_ROUND_SIZE:]
             return points
@@ -176,7 +179,7 @@ class ProbabilityEstimator:
             )
 
     def _read_outcomes(self, rows: Sequence[ScenarioRecord]) -> EventOutcomes:
-        """Read the outcomes of scenarios."""
+        """Read from the study which scenarios failed, are critical, have a collision, or have an encounter."""
         done = [row for row in rows if row.state == "done"]
         is_done = np.array([row.state == "done" for row in rows], dtype=np.bool_)
         scores = np.full(len(rows), np.nan)
@@ -196,7 +199,11 @@ class ProbabilityEstimator:
         return EventOutcomes(scores, self._objective.critical_mask(scores), collision, encounter)
 
     def _outcomes_of_stages(self, *stages: str) -> tuple[FloatArray, EventOutcomes]:
-        """Points and outcomes of all rounds in the given stages."""
+        """Return the points and outcomes of all rounds in the given stages.
+
+        The stages are "law" (drawn from the distributions of the parameters), "learn", "estimate", and "whole" (all
+        scenarios of the space).
+        """
         selected = [(rows, outcomes) for stage, rows, outcomes in self._finished_rounds if stage in stages]
         points = [row.point for rows, _ in selected for row in rows]
         return np.array(points).reshape(-1, self._space.dimension), EventOutcomes.concatenate(
@@ -204,7 +211,7 @@ class ProbabilityEstimator:
         )
 
     def _estimate_probability(self, event: Callable[[EventOutcomes], BoolArray]) -> Probability:
-        """Estimate the probability of an event from the draws."""
+        """Estimate the probability of an event, for which `event` returns a bool for each scenario."""
         points, outcomes = self._outcomes_of_stages("whole" if self._is_exhaustive else "estimate")
         if self._is_exhaustive:
             first_indices = self._first_occurrences([row for _, rows, _ in self._finished_rounds for row in rows])
@@ -283,7 +290,7 @@ _NO_DIRECTION: Final = (
 
 
 def _describe_uniform(space: ParameterSpace) -> str:
-    """Say what probabilities mean if no parameter has a distribution; empty if one has."""
+    """Describe what probabilities mean if no parameter has a distribution; empty if a parameter has one."""
     if any(parameter.distribution is not None for parameter in space.parameters):
         return ""
     count = len(space.parameters)

@@ -20,7 +20,7 @@ from cornercase.scenario import LogicalScenario
 from cornercase.study import StudyFile
 from cornercase.study._import_recordings import IMPORTED_SIMULATOR
 
-# Arguments and verbs of the objects, by their name in the functions.
+# Names of arguments and methods of `Problem` and `Study`, by the names that functions such as `explore` use instead.
 _NAME_IN_OBJECTS: Final = {
     "analyze": "cluster",
     "critical": "threshold",
@@ -32,13 +32,13 @@ _NAME_IN_OBJECTS: Final = {
     "study": "path",
 }
 
-# Objects hold drivers in their simulator.
+# The drivers of a `Study` belong to its simulator.
 _DRIVER_HINT: Final = re.compile("give it again with `drivers`")
 _DRIVER_EXAMPLE: Final = re.compile(r"Study\.open, as in (\{.*\})")
 
 
 def suggest_arguments(function: Function) -> Function:
-    """Like the decorator in `_common`, also for names of options of the functions."""
+    """Decorate a function: its error for an unknown argument suggests a name, also for an option name of `explore`."""
     return suggest_names(function, _NAME_IN_OBJECTS)
 
 
@@ -55,21 +55,21 @@ class Problem:
     other : str or sequence of str
         Entities that the ego is measured against; the most critical one counts. ``"*"`` means all others.
     metrics : Metric or str, or sequence of these
-        Criticality metrics from `cornercase.metrics`, or as text with options after a colon; or objects of your own
-        class, derived from `cornercase.Metric`. All are stored; the first is searched unless `weights` are given.
+        Criticality metrics: objects from `cornercase.metrics`, texts with options after a colon, or objects of your own
+        class derived from `cornercase.Metric`. All are stored; the first is searched unless `weights` are given.
     threshold : float, optional
-        Score from which a scenario is critical, in the unit of the objective. Default: the metric's own.
+        Score from which a scenario is critical, in the unit of the objective. Default: the metric's own threshold.
     condition : str or Expression, optional
         Condition that replaces metric and threshold, and is searched: ``"collision and not reference:cc-human"``, where
-        ``reference:NAME`` says that the ego would also collide if this driver drove it. An expression of the same
-        language as formulas and requirements; outside of temporal operators, a bound such as ``ttc < 1`` is on the
-        score.
+        ``reference:NAME`` says that the ego would also collide if this driver drove it. The language is the same as for
+        formulas and requirements. But a bound outside of temporal operators, such as ``ttc < 1``, refers to the score
+        of the metric.
     weights : mapping of str to float, optional
-        By metric, above 0: search the minimum of the weighted sum of the scores. A score that is critical when high is
-        subtracted; its weight is positive, too.
+        Weight of each metric, above 0: the minimum of the weighted sum of the scores is searched. Scores that are
+        critical when high are subtracted; give a positive weight for them, too.
     pareto : bool, default False
-        Search the Pareto front of all metrics. Of the optimizers, ``Evolutionary()`` and ``Optuna("nsga2")`` search it;
-        ``Sobol()``, ``Grid()`` and ``Random()`` sample the space regardless.
+        Search the Pareto front of all metrics. The optimizers ``Evolutionary()`` and ``Optuna("nsga2")`` can do this;
+        ``Sobol()``, ``Grid()`` and ``Random()`` sample the space independently of the scores.
 
     Raises
     ------
@@ -114,7 +114,7 @@ class Problem:
         return f"<Problem {self.scenario.path.stem!r}: {self.ego} and {others}, {self._criterion()}>"
 
     def _criterion(self) -> str:
-        """What counts as critical, or what is searched, in a few words."""
+        """Describe in a few words what counts as critical, or what is searched."""
         if self.condition is not None:
             return f"critical if {self.condition}"
         objective = config_from_problem(self).make_objective()
@@ -131,22 +131,25 @@ Problem.__init__ = suggest_arguments(Problem.__init__)  # type: ignore[method-as
 
 
 def _condition_text(expression: Expression) -> str:
-    """Return the text of a condition; InputError if as a condition it means something else than the expression."""
+    """Return an expression as text; `InputError` if this text means something else when it is read as a condition."""
     if Expression.parse(expression.text, "condition").root != expression.root:
         raise InputError(
-            f"`condition` {expression}: is a formula, and in a condition a bound is on the score; parse it with the"
-            ' language "condition", or write always(…).'
+            f"`condition` {expression}: is a formula, but in a condition a bound refers to the score of the metric;"
+            ' parse it with the language "condition", or write always(…).'
         )
     return expression.text
 
 
 def problem_from_study(study: StudyFile, scenario: Path | None) -> Problem:
-    """Return the search problem of a study, without the user's own code; `scenario` is the explored file."""
+    """Return the search problem of a study; `scenario` is the explored file.
+
+    A metric of the user's own class is only described, without its code.
+    """
     meta = study.meta
     if meta.simulator == IMPORTED_SIMULATOR:
         raise InputError(
-            f"{study.path}: contains imported recordings, which no scenario file made, so there is no search problem;"
-            " `summary` says what was measured."
+            f"{study.path}: contains imported recordings instead of runs of a scenario file, so it has no search"
+            " problem; `summary` says what was measured."
         )
     return Problem(
         read_logical_scenario(study, scenario),
@@ -161,7 +164,7 @@ def problem_from_study(study: StudyFile, scenario: Path | None) -> Problem:
 
 
 def config_from_problem(problem: Problem, **settings: Any) -> ExplorationConfig:
-    """Create the configuration of an exploration of a problem; `settings` are all other options."""
+    """Create the configuration for exploring a problem; `settings` are the options that the problem does not hold."""
     return ExplorationConfig(
         logical=problem.scenario,
         ego=problem.ego,
@@ -176,11 +179,14 @@ def config_from_problem(problem: Problem, **settings: Any) -> ExplorationConfig:
 
 
 class name_arguments_of_objects(short_errors):  # noqa: N801
-    """Like `short_errors`; messages name the arguments of `Problem`: `` `threshold` `` instead of `` `critical` ``."""
+    """Context manager that shortens errors like `short_errors`, and replaces names of arguments in their messages.
+
+    Options of `explore` get the names that `Problem` and `Study` use: `` `threshold` `` instead of `` `critical` ``.
+    """
 
     def edit(self, message: str) -> str:
-        """Replace the names between backticks, and hints for functions."""
-        # A verb of an object names no file.
+        """Replace names of arguments between backticks, and hints that apply to functions only."""
+        # Methods of an object do not take the file of the study or scenario as an argument.
         message = message.replace("name another study with `study`", "create another study")
         message = message.replace("name it with `scenario`", "name it as in Study.open(…, scenario=…)")
         message = message.replace("give it again with `simulator`", "give it again as in Study.open(…, simulator=…)")

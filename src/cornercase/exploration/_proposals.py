@@ -26,9 +26,10 @@ _ROUNDING: Final = 1e-9
 
 
 class AskTell:
-    """Interface to an optimizer that is the same for rounds and for a search without rounds.
+    """Interface to an optimizer that is the same for a search in rounds and for a search without rounds.
 
-    In a search without rounds, `pending`, shape (p, d), are the points that are running during `ask`.
+    In a search without rounds, `pending` are the p points (of d parameters) that are running during `ask`, shape
+    (p, d).
     """
 
     def __init__(self, optimizer: Optimizer, space: ParameterSpace, asynchronous: bool) -> None:
@@ -38,7 +39,7 @@ class AskTell:
         self._result_sums: list[list[FloatArray]] = []
 
     def ask(self, n: int) -> FloatArray:
-        """Propose at most `n` points, shape (m, d), as in `Optimizer.ask`; `InputError` if they cannot be run."""
+        """Return at most `n` points that the optimizer proposes, shape (m, d); `InputError` if points are invalid."""
         with convert_plugin_errors(self._name, self._optimizer, "in ask"):
             if self._asynchronous:
                 pending = np.zeros((0, 0)) if self.pending is None else self.pending
@@ -70,7 +71,10 @@ class AskTell:
         return points
 
     def tell(self, points: FloatArray, *results: FloatArray) -> None:
-        """Pass points, shape (m, d), scores, shape (m,) or (m, k), and features, shape (m, f), to the optimizer."""
+        """Pass m points, shape (m, d), and their results to the optimizer.
+
+        `results` are the scores, shape (m,), or (m, k) for k metrics, and optionally f features, shape (m, f).
+        """
         tell: Any = self._optimizer.tell
         with convert_plugin_errors(self._name, self._optimizer, "in tell"):
             tell(points, *results)
@@ -83,22 +87,22 @@ class AskTell:
             self._result_sums = [[a + n, b + c] for (a, b), n, c in zip(before, new, counts, strict=True)]
 
     def _pseudo_results(self, count: int) -> list[FloatArray]:
-        """Results that a constant liar assumes for `count` points: the mean of all results, NaN if there are none."""
+        """Return results to assume for `count` running points (constant liar): the mean of all results, or NaN."""
         with np.errstate(invalid="ignore"):
             return [np.repeat((total / number)[None], count, axis=0) for total, number in self._result_sums]
 
 
 class ProposalSource:
-    """Chooses the scenarios to run: the proposals of a search, and random audits among them."""
+    """Source of the scenarios to run: proposals of the search, and audits (scenarios drawn at random as a check)."""
 
     def __init__(self, ask_tell: AskTell, study: StudyFile) -> None:
         self._ask_tell, self._study = ask_tell, study
         self._audit_sampler = audit_sampler(study.space, study.meta.seed)
 
     def propose(self, n_done: int, n_wanted: int) -> FloatArray:
-        """Choose the next `n_wanted` scenarios after `n_done`: snapped points, shape (m, d).
+        """Choose `n_wanted` scenarios to run after the first `n_done` scenarios; return their points, shape (m, d).
 
-        There are fewer if the search is exhausted.
+        There are fewer points if the search is exhausted. Points are moved to the steps of the parameters.
         """
         meta, space = self._study.meta, self._study.space
         audits = [meta.is_audit(n_done + k + 1) for k in range(n_wanted)]
@@ -115,7 +119,10 @@ class ProposalSource:
 
 
 def warn_of_repetitions(study: StudyFile, optimizer: Optimizer, n_before: int) -> None:
-    """Warn if a user's optimizer proposed scenarios again, after the first `n_before` of the study."""
+    """Warn if an optimizer of the user's own class proposed scenarios that had been run already.
+
+    Only repetitions after the first `n_before` scenarios of the study count.
+    """
     if is_built_in(optimizer):
         return
     rows = [row for row in study.rows() if not study.meta.is_audit(row.id)]
@@ -132,9 +139,9 @@ def warn_of_repetitions(study: StudyFile, optimizer: Optimizer, n_before: int) -
         why = "they were run again and say nothing new, so leave them out in ask"
         if proposes_first_again and not optimizer.is_stateful_ask and len(set(first_keys)) == n_compared:
             why = (
-                "a search that goes on gets the stored scores by tell, but this one began again, since its ask depends"
-                " on earlier calls of ask; set is_stateful_ask = True in its class, or draw random numbers from the"
-                " seed and the number of scenarios that it was told"
+                "when a search is continued, its optimizer gets the stored scores by tell, but this optimizer began"
+                " again from the start, since its ask depends on earlier calls of ask; set is_stateful_ask = True in"
+                " its class, or draw random numbers from the seed and the number of scenarios passed to tell"
             )
         issue_notice_warning(
             f"the optimizer '{optimizer}' proposed {n_repeated} scenarios that were run already; {why}"

@@ -46,11 +46,11 @@ class RepairResult:
     ----------
     study : Path
     damaged_file : Path or None
-        Where the damaged file is now; None if there was nothing to repair.
+        New path of the damaged file; None if there was nothing to repair.
     rerun_ids : tuple of int
         Ids of the scenarios that were run again.
     lost_content : tuple of str
-        What could not be recovered, as parts of a sentence.
+        Content that could not be recovered, as parts of a sentence.
 
     Examples
     --------
@@ -78,8 +78,9 @@ def repair(
     """Repair a damaged study: lost scenarios are run again.
 
     Intact content stays. Scenarios that lost content are run again with the study's simulator and settings. If their
-    parameters are lost, the optimizer proposes them again. If their number is lost, the exploration continues up to its
-    budget. The damaged file stays under another name. The study is locked for other writers until it is replaced.
+    parameters are lost, the optimizer proposes the scenarios again. If the number of scenarios is lost, the exploration
+    continues up to its budget. The damaged file stays under another name. The study is locked for other writers until
+    it is replaced.
 
     Parameters
     ----------
@@ -88,7 +89,7 @@ def repair(
         The explored file. By default it is searched for at its stored path, next to the study and in the current
         folder, and recognized by its fingerprint.
     simulator : str, optional
-        Default: that of the study, without options.
+        By default the simulator of the study. The study's options of the simulator are only used if all are numbers.
     drivers : mapping of str to str, SystemUnderTest or Driver, optional
         Your own drivers by entity, if the study was explored with any; presets are taken from the study.
     workers : int, default 1
@@ -103,8 +104,8 @@ def repair(
     Raises
     ------
     InputError
-        The study cannot be repaired, something needed is missing, another process writes to it, it changed meanwhile,
-        or more memory is needed; the study is left unchanged.
+        The study cannot be repaired, a file or driver is missing, another process writes to the study or has changed it
+        meanwhile, or more memory is needed; the study is left unchanged.
 
     See Also
     --------
@@ -172,7 +173,7 @@ def _reword_file_errors(file: Path) -> Iterator[None]:
 
 @contextmanager
 def _reword_file_name(temporary: Path, file: Path) -> Iterator[None]:
-    """Replace the name of the temporary file in errors by that of the user's file."""
+    """Replace the name of the temporary file in errors by the name of the user's file."""
     try:
         yield
     except InputError as error:
@@ -192,7 +193,7 @@ def _restore_name_on_error(file: Path) -> Iterator[None]:
 
 
 def _keep_damaged_file(file: Path) -> Path:
-    """Give the damaged file a second name, so that its own name exists at all times; return it."""
+    """Give the damaged file a second name and return that; the original name exists at all times."""
     damaged_copy = _unused_damaged_name(file)
     try:
         os.link(file, damaged_copy)
@@ -297,12 +298,12 @@ def _rerun_lost_scenarios(
 
 
 class _RepairExplorer(ScenarioExplorer):
-    """Runs the pending scenarios of a study, and asks its optimizer to propose lost scenarios again."""
+    """Explorer that runs the pending scenarios of a damaged study, and has its optimizer propose lost ones again."""
 
     def restore_rounds(self, rounds: Mapping[int, int], is_count_known: bool) -> None:
         """Restore the study round by round.
 
-        `rounds` maps scenario ids to rounds, 0 if unknown. Without `is_count_known`, the number of scenarios is lost,
+        `rounds` maps scenario ids to rounds, 0 if unknown. If not `is_count_known`, the number of scenarios is lost,
         and the search continues up to its budget.
         """
         self._is_count_known = is_count_known
@@ -360,7 +361,7 @@ class _RepairExplorer(ScenarioExplorer):
 
 
 def _fill_unknown_rounds(rounds: Mapping[int, int], batch: int) -> dict[int, int]:
-    """Fill in unknown rounds: a scenario gets the round of the scenario before, until this round is full."""
+    """Fill in unknown rounds: a scenario gets the round of the previous scenario, or the next if that round is full."""
     next_round, last = {}, math.inf
     for scenario in sorted(rounds, reverse=True):
         next_round[scenario] = last = rounds[scenario] or last

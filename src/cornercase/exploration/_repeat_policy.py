@@ -34,18 +34,18 @@ class RepeatedRun:
 
 
 class RepeatPolicy:
-    """Decides how often a scenario is run.
+    """Rule for how often a scenario is run.
 
-    Each scenario is run `repeats` times. With `max_repeats` it gets `repeats` further runs at a time, up to
-    `max_repeats`, while its runs do not show on which side of the threshold it is (`is_criticality_undecided`). If all
-    runs failed, there are no further ones.
+    Each scenario is run `repeats` times. With `max_repeats`, a scenario gets `repeats` further runs at a time, up to
+    `max_repeats` runs in all, while its runs do not show whether it is critical (`is_criticality_undecided`). If all
+    runs failed, there are no further runs.
     """
 
     def __init__(self, config: ExplorationConfig, objective: Objective) -> None:
         self._config, self._objective = config, objective
 
     def start_scenario(self, row: ScenarioRecord) -> RepeatedRun:
-        """Return a scenario without runs so far."""
+        """Create the record of a scenario that has not been run; its first `repeats` runs are requested."""
         return RepeatedRun(row, self._config.repeats)
 
     def record_outcomes(self, repeated_run: RepeatedRun, outcomes: Sequence[Recording | SimulationError]) -> None:
@@ -64,7 +64,10 @@ class RepeatPolicy:
         repeated_run.n_requested = self._count_further_runs(repeated_run)
 
     def minimized_scores(self, repeated_run: RepeatedRun) -> FloatArray:
-        """Scores of the successful runs, lower where more critical, shape (n,) or (n, metrics) for a front."""
+        """Return the scores of n successful runs; lower scores are more critical.
+
+        The shape is (n,), or (n, k) for a Pareto front of k metrics.
+        """
         return self._objective.minimized(
             np.array([[result.score for result in run.values()] for _, run in repeated_run.runs])
         )

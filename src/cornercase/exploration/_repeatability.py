@@ -1,4 +1,4 @@
-"""Check if runs are deterministic, by running the first scenario of a study twice."""
+"""Check if runs are deterministic, by running the first finished scenario of a study again."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ def check_repeatability(
 ) -> bool:
     """Run the first finished scenario again by `run_again`, and store whether a recording is identical.
 
-    `run_again` repeats the runs of a scenario, each with its seed; the study holds the recording of one of them.
-    `is_random` tells whether sensors are random, so that runs with other seeds differ.
+    `run_again` repeats the runs of a scenario, each with its seed; the study holds the recording of one of these runs.
+    `is_random` returns whether sensors are random, so that runs with other seeds differ.
 
-    It is done once per study, and only for simulators that claim to be deterministic. One check proves nothing, but
-    finds random numbers without a seed and state that persists between runs. If runs differ, a warning ends with
+    The check is done once per study, and only for simulators that claim to be deterministic. One check proves nothing,
+    but finds random numbers without a seed and state that persists between runs. If runs differ, a warning ends with
     `advice`; if `advice` is empty, there is no warning. Returns False as long as no scenario has finished.
     """
     row = next((row for row in study.rows() if row.state == "done"), None)

@@ -28,7 +28,7 @@ from cornercase.study._objective import Objective
 
 
 class StageTimer:
-    """Measures how long the stages of an exploration take, and adds the times to those in the study."""
+    """Timer for the stages of an exploration, which adds the measured times to the times in the study."""
 
     def __init__(self, study: StudyFile) -> None:
         self._study = study
@@ -36,7 +36,7 @@ class StageTimer:
 
     @contextmanager
     def __call__(self, stage: str) -> Iterator[None]:
-        """Measure the time that the `with` block takes, for a stage."""
+        """Measure the time of the `with` block, and add it to the time of the stage."""
         start = time.monotonic()
         try:
             yield
@@ -51,7 +51,7 @@ class StageTimer:
 
 
 class ScenarioRunner:
-    """Runs and measures scenarios, and stores each as soon as it has ended.
+    """Runner that simulates and measures scenarios, and stores each scenario as soon as it has ended.
 
     If a scenario is run several times, the run with the median score is stored (of two middle runs, the more critical
     one), together with the scores of all runs. Failed runs are ignored unless all failed. Extra repeats are run after
@@ -83,10 +83,10 @@ class ScenarioRunner:
                 raise InputError(f"`references`: there is no simulator in which {missing[0]} drives the ego.")
 
     def run_and_score(self, rows: Sequence[ScenarioRecord]) -> Iterator[tuple[int, Any]]:
-        """Run scenarios; yield the id and the score of each successful one, lower where more critical.
+        """Run scenarios; yield the id and the score of each successful scenario.
 
-        The score is a float, or has shape (metrics,) for a front. Raises `InputError` if no scenario can be run, or the
-        simulator itself failed.
+        Lower scores are more critical. The score is a float, or for a Pareto front an array of one score per metric.
+        Raises `InputError` if the first `max_failures` scenarios all failed, or the simulator itself failed.
         """
         if not rows:
             return
@@ -137,9 +137,9 @@ class ScenarioRunner:
     def _run_batch(
         self, scenarios: deque[RepeatedRun]
     ) -> Iterator[tuple[RepeatedRun, list[Recording | SimulationError]]]:
-        """Run all requested runs of the scenarios in one batch; yield each scenario with its outcomes.
+        """Do all requested runs of the scenarios in one batch; yield each scenario with the outcomes of its runs.
 
-        A scenario is removed from the deque when its results arrive.
+        The scenarios are removed from the deque.
         """
         results = self.simulate(
             self._simulator,
@@ -155,11 +155,11 @@ class ScenarioRunner:
             pass
 
     def start_scenario(self, row: ScenarioRecord) -> RepeatedRun:
-        """Return a scenario without runs so far."""
+        """Create the record of a scenario that has not been run; its first runs are requested."""
         return self._repeat_policy.start_scenario(row)
 
     def requested_concrete_scenarios(self, repeated_run: RepeatedRun) -> list[ConcreteScenario]:
-        """Return the concrete scenario, once for each requested run."""
+        """Return one concrete scenario for each requested run; they differ in their seeds only."""
         runs = range(repeated_run.n_done, repeated_run.n_done + repeated_run.n_requested)
         return [self._make_concrete(repeated_run.row, run) for run in runs]
 
@@ -169,8 +169,8 @@ class ScenarioRunner:
     def record_outcomes(self, repeated_run: RepeatedRun, outcomes: Sequence[Recording | SimulationError]) -> Any:
         """Measure finished runs, and store the scenario if it needs no further run.
 
-        Returns the minimized score or scores; None if the scenario failed. If further runs are needed, it returns a
-        `RepeatedRun`, or for runs with reference drivers a `PendingCondition`.
+        Returns the score (an array for a Pareto front; lower is more critical), or None if the scenario failed. Returns
+        a `RepeatedRun` if further runs are needed, or a `PendingCondition` if runs with reference drivers are needed.
         """
         row = repeated_run.row
         with self._clock("measure"):
@@ -202,7 +202,7 @@ class ScenarioRunner:
             self._reference_runs.record_reference_run(pending_condition, pending_condition.next_reference, outcome)
 
     def store_decided(self, pending_condition: PendingCondition) -> Any:
-        """Store a scenario whose condition is decided; return its minimized score, None if a run failed."""
+        """Store a scenario whose condition is decided; return its minimized score, or None if a run failed."""
         if pending_condition.error is not None:
             self._record_failure(pending_condition.row, pending_condition.error)
             return None
@@ -226,8 +226,8 @@ class ScenarioRunner:
         if 0 < self._config.max_failures <= self._n_exceptions and not self._study.finished_rows():
             raise InputError(
                 f"The first {self._n_exceptions} scenarios all failed, so no more are run; in the last one"
-                f" {self._last_error}. Fix it, and run the same command again; `max_failures` is the limit, and 0"
-                " keeps the failed scenarios."
+                f" {self._last_error}. Fix the cause, and run the same command again; `max_failures` is the limit,"
+                " and 0 means that failed scenarios are kept and the search goes on."
             )
 
     def simulate(
@@ -247,7 +247,7 @@ class ScenarioRunner:
 
 
 def _median_index(scores: FloatArray) -> int:
-    """Index of the median of scores, shape (n,) or (n, k); if there are several metrics, the first one counts."""
+    """Return the index of the median score; for scores of k metrics, shape (n, k), the first metric counts."""
     first = scores.reshape(len(scores), -1)[:, 0].tolist()
     order = sorted(range(len(first)), key=first.__getitem__)
     return order[(len(order) - 1) // 2]

@@ -52,9 +52,10 @@ Runs.__init__ = suggest_arguments(Runs.__init__)  # type: ignore[method-assign]
 
 
 def run_settings(runs: Runs | None) -> dict[str, Any]:
-    """Return the settings of `runs` that are not the default by name; none of None. `InputError` for anything else.
+    """Return the settings of `runs` that differ from their defaults, by name; empty for None.
 
-    A study that goes on keeps its own settings where the default is given.
+    Defaults are left out, so that a study that is continued keeps its own settings. Raises `InputError` if `runs` is
+    another object.
     """
     if runs is None:
         return {}
@@ -63,12 +64,12 @@ def run_settings(runs: Runs | None) -> dict[str, Any]:
     return {name: value for name, value in vars(runs).items() if value != getattr(Runs, name)}
 
 
-def single_run_settings(runs: Runs | None, user: str) -> dict[str, Any]:
+def single_run_settings(runs: Runs | None, caller: str) -> dict[str, Any]:
     """Return the settings of `runs` by name, for a function that runs each scenario once.
 
-    Raises `InputError`, which names the function by `user`, if runs are to be repeated.
+    Raises `InputError` if runs are to be repeated. `caller` is the subject of the message, such as "a suite".
     """
     settings = run_settings(runs)
     if settings.pop("repeats", 1) != 1 or settings.pop("max_repeats", 1) != 1:
-        raise InputError(f"`runs`: {user} runs each scenario once; leave out `repeats` and `max_repeats`.")
+        raise InputError(f"`runs`: {caller} runs each scenario once; leave out `repeats` and `max_repeats`.")
     return settings

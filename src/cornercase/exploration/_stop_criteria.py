@@ -22,10 +22,11 @@ _MIN_SCENARIOS, _GROWTH = 40, 1.1
 
 
 class StopCriteria:
-    """Collects results, and checks if all stop criteria hold.
+    """Stop criteria of a search, with the results by which they are checked.
 
-    `criterion` is that of being critical. `optimizer` determines which points are independent of scores. Raises
-    `InputError` if there are stop criteria but no criterion, or ``audited-missed`` without audits.
+    `criterion` says which scores are critical. `optimizer` determines which points were chosen independently of scores.
+    Raises `InputError` if there are stop criteria but no criterion, or ``audited-missed`` without audits (scenarios
+    drawn at random as a check).
     """
 
     def __init__(
@@ -39,7 +40,10 @@ class StopCriteria:
         source_model: SourceStudyModel | None = None,
     ) -> None:
         if not has_audits and any(rule.quantity == "audited-missed" for rule in criteria):
-            raise InputError("`stop_when`: audited-missed needs audits; begin a study with `audit`, for example 0.1.")
+            raise InputError(
+                "`stop_when`: audited-missed needs audits, scenarios drawn at random as a check; begin a new study with"
+                " `audit`, for example 0.1."
+            )
         if criteria and criterion is None:
             raise InputError("`stop_when`: needs a threshold; set one with `critical`.")
         self._criteria, self._space, self._criterion, self._seed = tuple(criteria), space, criterion, seed
@@ -47,16 +51,20 @@ class StopCriteria:
         self._points, self._scores = np.zeros((0, space.dimension)), np.zeros(0)
         self._audit_points, self._audit_scores = self._points, self._scores
         self._features: list[FloatArray] = []
-        self._n_before = 0  # number of scenarios before the last results, or when the criteria were checked
+        # Number of scenarios before the last results were added, or at the last check of the criteria.
+        self._n_before = 0
         self._checks_again = False
 
     @property
     def has_criteria(self) -> bool:
-        """Whether there are criteria; without them, results are not collected."""
+        """True if there are criteria; without criteria, results are not collected."""
         return bool(self._criteria)
 
     def add_results(self, points: FloatArray, scores: FloatArray, features: FloatArray | None = None) -> None:
-        """Add points (m, d), scores (m,), lower where more critical, and features (m, f) if known; NaN if failed."""
+        """Add m points, shape (m, d), with scores, shape (m,), and features, shape (m, f), if known.
+
+        Lower scores are more critical. Scores and features are NaN if the scenario failed.
+        """
         if self._criteria:
             self._n_before = len(self._scores)
             self._features += [] if features is None else [features]
@@ -72,8 +80,8 @@ class StopCriteria:
     def describe_if_all_reached(self) -> str | None:
         """Describe how well the critical set is known if all criteria hold, else None.
 
-        Criteria are checked whenever the number of scenarios has grown by a tenth. When they are depends on this number
-        alone, so that a study that is resumed ends like one that is not.
+        Criteria are checked whenever the number of scenarios has grown by a tenth. This depends on the number alone, so
+        a resumed search ends like an uninterrupted search.
         """
         if _n_checks(len(self._scores)) == _n_checks(self._n_before) and not self._checks_again:
             return None
@@ -84,11 +92,14 @@ class StopCriteria:
         return " and ".join(rule.describe_value(value) for rule, value in values)
 
     def check_again(self) -> None:
-        """Check the criteria the next time whatever the number of scenarios: a search that ended may end again."""
+        """Make the next call of `describe_if_all_reached` check the criteria, whatever the number of scenarios.
+
+        A search that had ended by its criteria then ends again at once, if they still hold.
+        """
         self._checks_again = True
 
     def describe_not_reached(self) -> str:
-        """Continue a sentence on why the search ended: which criteria do not hold. Empty if all do."""
+        """Return the end of a sentence that names the criteria that do not hold; empty if all criteria hold."""
         if not self._criteria:
             return ""
         values = self._values()
@@ -125,5 +136,5 @@ class StopCriteria:
 
 
 def _n_checks(n_scenarios: int) -> int:
-    """How often criteria are checked at most until this number of scenarios."""
+    """Return how often criteria are checked at most until there are `n_scenarios`."""
     return 0 if n_scenarios < _MIN_SCENARIOS else 1 + int(math.log(n_scenarios / _MIN_SCENARIOS, _GROWTH))

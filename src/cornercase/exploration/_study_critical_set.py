@@ -1,4 +1,4 @@
-"""Estimate the critical set of a study, from scenarios that were chosen independently of scores."""
+"""Estimate the critical set of a study, and select its scenarios that were chosen independently of scores."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ _MAX_FEATURE_SCENARIOS = 2000
 
 
 def audit_sampler(space: ParameterSpace, seed: int) -> Random:
-    """Create the sampler of a study's audits: independent random points, none twice.
+    """Create the sampler of a study's audits (scenarios drawn at random as a check), which draws no point twice.
 
-    It never observes results, so its draws depend on the space and the seed only.
+    The sampler never observes results, so its points depend on the space and the seed only.
     """
     return Random().start(space, int(np.random.SeedSequence([seed, _AUDIT_SEED_SALT]).generate_state(1)[0]))
 
@@ -33,9 +33,9 @@ def audit_sampler(space: ParameterSpace, seed: int) -> Random:
 def is_score_independent(optimizer: str, space: ParameterSpace, seed: int, points: FloatArray) -> BoolArray:
     """Return which points were chosen independently of scores, shape (n,): the initial design, or all points of a grid.
 
-    `points`, shape (n, d), are all points that the search observed. The initial design is the longest beginning of the
-    search's space-filling sequence that was run completely. A point counts even if the search also proposed it because
-    of scores.
+    `points`, shape (n, d), are all points that the search observed. The initial design is the longest first part of
+    the search's space-filling sequence that was run completely. A point counts even if the search also proposed it
+    because of scores.
     """
     name = optimizer.partition(":")[0]
     if name == Grid.name:
@@ -51,9 +51,9 @@ def is_score_independent(optimizer: str, space: ParameterSpace, seed: int, point
 
 
 def is_judged_with_features(optimizer: str, n_scenarios: int) -> bool:
-    """Whether the critical set of a study with `n_scenarios` finished ones is predicted with features of recordings.
+    """Return whether the critical set of a study is estimated with features of recordings.
 
-    It is with up to 2,000 scenarios, and always if the search uses features, too.
+    True for up to 2,000 finished scenarios (`n_scenarios`), and for optimizers that use features.
     """
     if n_scenarios <= _MAX_FEATURE_SCENARIOS:
         return True
@@ -64,7 +64,10 @@ def is_judged_with_features(optimizer: str, n_scenarios: int) -> bool:
 
 
 def source_study_model(study: StudyFile, criterion: Criterion) -> SourceStudyModel | None:
-    """Model of the study that warm-started a study's search; None without one, or if all its scores are equal."""
+    """Create the model of the other study whose scores warm-started a study's search.
+
+    None if the search had no warm start, or if all scores of the other study are equal.
+    """
     warm_start = study.warm_start_data()
     if warm_start is None or np.ptp(warm_start[1]) == 0.0:
         return None
@@ -74,9 +77,10 @@ def source_study_model(study: StudyFile, criterion: Criterion) -> SourceStudyMod
 def estimate_critical_set(study: StudyFile, *, last_id: int | None = None, seed: int | None = None) -> CriticalSet:
     """Estimate the critical set of a study; audits do not influence the estimate, but assess it.
 
-    `last_id` is the id of the last scenario that counts; whether features are used depends on all scenarios. `seed`
-    replaces the seed of the study; two sets are compared with the same seed. Raises ValueError without a threshold, for
-    fewer than 10 scores without audits, or equal scores.
+    Audits are scenarios drawn at random as a check. `last_id` is the id of the last scenario that counts; but the
+    number of all scenarios decides whether features are used. `seed` replaces the seed of the study, so that two
+    critical sets can be compared with the same seed. Raises ValueError if there is no threshold, if there are fewer
+    than 10 scores without audits, or if all scores are equal.
     """
     meta, objective = study.meta, study.objective
     if (criterion := objective.criterion) is None:

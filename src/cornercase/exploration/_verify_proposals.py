@@ -36,7 +36,7 @@ def verify_proposals(path: Path, meta: StudyMeta, objective: Objective, optimize
 
 
 def _find_first_difference(study: StudyFile, objective: Objective, optimizer: Optimizer) -> int | None:
-    """Id of the first scenario that is proposed differently; None if all proposals agree."""
+    """Return the id of the first scenario that is proposed differently; None if all proposals agree."""
     results = _StoredResults(study, objective, "features" in optimizer.requires)
     if (warm_start := study.warm_start_data()) is not None:
         optimizer.warm_start(*warm_start)
@@ -74,7 +74,7 @@ class _StoredResults:
         self._failed_score: Any = missing if objective.pareto else np.nan
 
     def for_rows(self, rows: Sequence[ScenarioRecord]) -> list[Any]:
-        """Points, scores, and if the search uses them features, of scenarios."""
+        """Return points and scores of scenarios, and their features if the search uses features."""
         if pending := next((row.id for row in rows if row.state == "pending"), None):
             raise InputError(f"{self._study.path}: scenario {pending} has not ended; finish the exploration first.")
         points = np.array([row.point for row in rows])

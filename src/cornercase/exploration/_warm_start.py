@@ -25,8 +25,8 @@ _MIN_SCORES: Final = 10
 class WarmStart:
     """Scores of another study, in the space of a new study.
 
-    `points`, shape (n, d), are in the unit cube of the new space. `scores`, shape (n,), are lower where more critical.
-    `study_info` describes the other study, for the metadata of the new one.
+    `points`, shape (n, d), are in the unit cube of the new space. `scores`, shape (n,), are lower for more critical
+    scenarios. `study_info` describes the other study, for the metadata of the new study.
     """
 
     points: FloatArray
@@ -37,11 +37,11 @@ class WarmStart:
 def read_warm_start(
     path: Path, space: ParameterSpace, objective: Objective, ego: str, others: Sequence[str]
 ) -> WarmStart:
-    """Read points and scores of another study, to warm-start a search; scores are lower where more critical.
+    """Read points and scores of another study, to warm-start a search; lower scores are more critical.
 
-    Failed scenarios and those with values outside the new space are skipped. Metrics that the other study lacks, or
-    measured for other entities, are measured from its recordings. Raises `InputError` if the parameters differ, the
-    recordings cannot be measured, fewer than 10 scores remain, or all are equal.
+    Failed scenarios, and scenarios with values outside the new space, are skipped. Metrics that the other study lacks
+    or has measured for other entities are measured from its recordings. Raises `InputError` if the parameters differ,
+    the recordings cannot be measured, fewer than 10 scores remain, or all scores are equal.
     """
     # A snapshot, since another process may be writing to it.
     with StudyFile.open(path, readonly=True) as study, study.snapshot():
@@ -54,8 +54,8 @@ def read_warm_start(
         points, scores = space.points([row.values for row in rows])[is_finite], scores[is_finite]
         if len(scores) < _MIN_SCORES or np.ptp(scores) == 0.0:
             raise InputError(
-                f"`warm_start` {path}: {len(scores)} of its {len(finished)} scenarios are in this space with a score;"
-                f" at least {_MIN_SCORES} with different scores are needed."
+                f"`warm_start` {path}: {len(scores)} of its {len(finished)} scenarios have a score and lie in the space"
+                f" of this search; at least {_MIN_SCORES} with different scores are needed."
             )
         info = {
             "study": path.name,
@@ -80,7 +80,7 @@ def _require_same_parameters(path: Path, source_space: ParameterSpace, own_space
 
 
 def _contains_values(space: ParameterSpace, values: Mapping[str, Value]) -> bool:
-    """Whether a space contains these values of its parameters."""
+    """Return whether a space contains these values of its parameters."""
     for parameter in space.parameters:
         try:
             value = parameter.extract_value(values)
@@ -97,7 +97,10 @@ def _contains_values(space: ParameterSpace, values: Mapping[str, Value]) -> bool
 def _minimized_scores(
     study: StudyFile, objective: Objective, rows: Sequence[ScenarioRecord], ego: str, others: tuple[str, ...]
 ) -> FloatArray:
-    """Scores of scenarios of a study, shape (n,), lower where more critical; measured if they are not stored."""
+    """Return the scores of n scenarios of a study, shape (n,); lower scores are more critical.
+
+    Scores that are not stored are measured from the recordings.
+    """
     meta = study.meta
     names = [metric.name for metric in objective.metrics]
     # Metrics without weight are not needed.
