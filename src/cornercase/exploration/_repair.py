@@ -148,7 +148,7 @@ def repair(
             if not remains.is_count_known:
                 lost.append(f"how many scenarios it had; its search went on to its budget of {remains.meta.budget}")
             lost += _describe_changed_tables(temporary, remains)
-            # Flush now: nothing slow may come between `require_same` and the replacement.
+            # Flush now: nothing slow may come between `require_unchanged` and the replacement.
             fsync_file(temporary)
             # Another repair would undo this one halfway.
             exit_stack.enter_context(lock_folder(file.parent))
