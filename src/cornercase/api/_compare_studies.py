@@ -1,4 +1,4 @@
-"""Compare two studies, and write the page of the comparison."""
+"""Comparison of two studies, with a page that shows the result."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from cornercase.report import write_comparison
 
 @dataclass(frozen=True, repr=False)
 class Comparison(suite.Comparison):
-    """Result of a comparison of two versions; as a bool it says whether anything changed.
+    """Result of a comparison of two versions of a system under test; as a bool, True if the versions differ at all.
 
-    Attributes and `table` are those of `cornercase.suite.Comparison`.
+    `cornercase.suite.Comparison` describes the other attributes and methods.
 
     Attributes
     ----------
     studies : tuple of (Path, Path)
-        The studies that were compared, old and new.
+        Paths of the studies that were compared: old, new.
 
     Examples
     --------
@@ -44,12 +44,12 @@ class Comparison(suite.Comparison):
         Parameters
         ----------
         path : path
-            File to write. The same comparison gives the same bytes.
+            HTML file to write. The same comparison gives the same bytes.
 
         Returns
         -------
         Page
-            The file; a notebook shows it.
+            The written page; a notebook shows it.
 
         Raises
         ------
@@ -69,7 +69,7 @@ def compare(
     threshold: float | None = None,
     tolerances: Mapping[str, float] | None = None,
 ) -> Comparison:
-    """Compare two versions of the system under test, and tell whether the new one is better or worse.
+    """Compare two versions of the system under test, and decide whether the new version is better or worse.
 
     Parameters
     ----------
@@ -77,13 +77,13 @@ def compare(
         Studies of the same scenario, parameter space and entities. Drivers, simulators, versions and time steps may
         differ. For a `SuiteResult`, its study is compared.
     metrics : str or sequence of str, optional
-        Metrics to compare by. By default all; both studies must then have the same metrics.
+        Metrics to compare by. By default all metrics; both studies must then have the same metrics.
     threshold : float, optional
-        Score from which a scenario is critical, for this comparison only. By default each study's own; both must then
-        be equal.
+        Score from which a scenario is critical, for this comparison only. By default the threshold of each study; both
+        must then be equal.
     tolerances : mapping of str to float, optional
-        Largest change of a score that does not count, by metric, in its unit; defaults as in
-        `cornercase.suite.compare`.
+        Largest change of a score that does not count, by metric, in the unit of the metric.
+        `cornercase.suite.compare` lists the defaults.
 
     Returns
     -------
@@ -94,7 +94,11 @@ def compare(
     Raises
     ------
     InputError
-        The studies cannot be compared, as in `cornercase.suite.compare`, which says how it is decided.
+        The studies cannot be compared; `cornercase.suite.compare` lists the reasons.
+
+    See Also
+    --------
+    cornercase.suite.compare : Says how scenarios are compared, and how the verdict is decided.
 
     Examples
     --------

@@ -12,10 +12,10 @@ from cornercase.simulators._common_options import split_common_options
 
 
 def simulator_fields(simulator: Simulator | str) -> dict[str, Any]:
-    """Return the settings of an exploration that a simulator object contains, by name.
+    """Return the settings of an exploration that a simulator contains, by name.
 
-    These are the simulator, and, if they were given, time step, duration, effect of collisions, and drivers. Raises
-    `InputError` for an unknown name, if the argument is no simulator, or for a driver that no study can describe.
+    The settings are the simulator itself and, if given, time step, duration, effect of collisions, and drivers. Raises
+    `InputError` if the simulator is unknown or no simulator, or if a study cannot describe one of its drivers.
     """
     stripped, options = split_common_options(simulator, dict.fromkeys(COMMON_OPTIONS))
     if isinstance(stripped, str):

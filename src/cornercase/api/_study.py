@@ -1,4 +1,4 @@
-"""The class `Study` of the public API: search, cluster, reduce and report."""
+"""Class `Study` of the public API, which searches, clusters, reduces and reports scenarios."""
 
 from __future__ import annotations
 
@@ -52,23 +52,23 @@ if TYPE_CHECKING:
 
 
 class Study(PathLike[str]):
-    """A search of a logical scenario, and everything that was run and found; make one with `create` or `open`.
+    """Search of a logical scenario, with all runs and results in one file; make a study with `create` or `open`.
 
-    Each method opens the file only while it works. So nothing has to be closed, and several processes can use one
-    study. Functions that take the path of a study also take a `Study`.
+    Each method opens the file only while the method runs. So nothing has to be closed, and several processes can use
+    one study. Functions that take the path of a study also take a `Study`.
 
     Parameters
     ----------
     path : path
         SQLite file.
     problem : Problem, optional
-        What is searched; by default the problem stored in the file.
-    simulator : Simulator or str
-        What runs the scenarios.
+        Search problem; by default the problem stored in the file.
+    simulator : Simulator or str, optional
+        Simulator that runs the scenarios; by default the simulator stored in the file.
     seed : int, optional
         The same seed gives the same result; by default the seed stored in the file.
     scenario : path, optional
-        OpenSCENARIO file that was explored; by default it is searched.
+        OpenSCENARIO file that was explored; by default the file is searched as `open` describes.
 
     Attributes
     ----------
@@ -114,17 +114,17 @@ class Study(PathLike[str]):
     ) -> Self:
         """Create a study in a new file.
 
-        All arguments are checked at once. The file is written later, by `explore`.
+        All arguments are checked now. The file is written later, by `explore`.
 
         Parameters
         ----------
         path : path
             File to create.
         problem : Problem
-            What is searched.
+            Search problem.
         simulator : Simulator or str, default "builtin"
-            Simulator of `cornercase.simulators`, or its name with options after a colon. It also holds the drivers of
-            the entities.
+            Simulator of `cornercase.simulators`, or its name with options after a colon. A simulator object also
+            contains the drivers of the entities.
         seed : int, default 0
             The same seed gives the same result.
 
@@ -156,23 +156,26 @@ class Study(PathLike[str]):
     ) -> Self:
         """Open an existing study.
 
-        Problem, simulator and seed are read from the file. Of the simulator, the file keeps its name, time step,
-        longest duration, effect of collisions, options that are numbers, and the drivers of cornercase with their
-        options; the attribute `simulator` has them. Code that the file names is never run. So `simulator` has to be
-        given again to run further scenarios if a driver, the simulator or a metric is Python code of your own, or if
-        an option of the simulator is a text, such as a path or an address; for a metric, use `open_or_create`. Reading
-        the study needs none of these.
+        Problem, simulator and seed are read from the file. The attribute `simulator` has the parts of the simulator
+        that the file stores: name, time step, longest duration, effect of collisions, numeric options, and the drivers
+        of cornercase with their options.
+
+        Code that the file names is never run. To run further scenarios, give `simulator` again if a driver or the
+        simulator is Python code of your own, or if an option of the simulator is a text, such as a path or an address.
+        If a metric is Python code of your own, use `open_or_create` instead. To read the study, neither is needed.
 
         Parameters
         ----------
         path : path
             File of the study.
         simulator : Simulator or str, optional
-            Simulator that runs further scenarios, with all its options and drivers; by default that of the study.
+            Simulator that runs further scenarios, with all its options and drivers; by default the simulator of the
+            study.
         scenario : path, optional
-            OpenSCENARIO file that was explored. By default it is searched at the path stored in the study, where this
-            machine explored it, beside the study and up to two folders below, and likewise from the current folder. The
-            first file with the fingerprint that the study holds is taken; files with another one are passed over.
+            OpenSCENARIO file that was explored. By default the file is searched at the path stored in the study, at the
+            path where this machine explored it, in the folder of the study, and in the current folder. In both folders
+            the search goes down to two levels of subfolders. The first file whose fingerprint matches the study is
+            taken.
 
         Returns
         -------
@@ -201,10 +204,10 @@ class Study(PathLike[str]):
         path : path
             File of the study.
         problem : Problem
-            What is searched.
+            Search problem.
         simulator : Simulator or str, default "builtin"
-            Simulator of `cornercase.simulators`, or its name with options after a colon. It also holds the drivers of
-            the entities.
+            Simulator of `cornercase.simulators`, or its name with options after a colon. A simulator object also
+            contains the drivers of the entities.
         seed : int, default 0
             The same seed gives the same result.
 
@@ -215,7 +218,7 @@ class Study(PathLike[str]):
         Raises
         ------
         InputError
-            The existing study is of another problem, simulator or seed, or an argument cannot be used.
+            The existing study belongs to another problem, simulator or seed, or an argument cannot be used.
         """
         study = cls._from_problem(path, problem, simulator, seed)
         if not study.path.exists():
@@ -260,9 +263,9 @@ class Study(PathLike[str]):
 
     @property
     def problem(self) -> Problem:
-        """The problem that is searched; for an opened study, this reads the scenario file.
+        """Search problem of the study; for an opened study, this reads the scenario file.
 
-        `InputError` if there is none, as for imported recordings.
+        Raises `InputError` if the study has no search problem, as after an import of recordings.
         """
         if self._problem is not None:
             return self._problem
@@ -279,10 +282,10 @@ class Study(PathLike[str]):
 
     @property
     def simulator(self) -> Simulator | str:
-        """Simulator that runs the scenarios, as it was given; of an opened study, one like that in the file.
+        """Simulator that runs the scenarios, as it was given; for an opened study, made from the settings in the file.
 
-        It can be used for another study. `InputError` if the study only names the simulator, an option of it or a
-        driver; then give the simulator to `open`.
+        The simulator can also be used for another study. Raises `InputError` if the file holds only the name of the
+        simulator, of one of its options or of a driver; then give the simulator to `open`.
         """
         if self._simulator is not None:
             return self._simulator
@@ -291,7 +294,7 @@ class Study(PathLike[str]):
 
     @property
     def optimizer(self) -> str | None:
-        """Optimizer that searched, as text; None if no scenario was run yet."""
+        """Optimizer that proposed the scenarios, as text; None if no scenario was run yet."""
         if not self.path.exists():
             return None
         with self._read() as file:
@@ -331,15 +334,15 @@ class Study(PathLike[str]):
         optimizer : Optimizer or str, optional
             Optimizer of `cornercase.optimizers`, or its name with options after a colon: ``"level-set:filling=0.1"``.
             By default ``Auto()``, or ``Bayes()`` if no threshold or condition says what is critical. If the study was
-            searched before, this and all other settings but `stop` default to those of that search.
+            searched before, all settings but `stop` default to the settings of the earlier search.
         budget : int, optional
             Number of scenarios in total, including those that were run before; 200 by default.
         stop : StopRule or str, or sequence of these
             Rules of `cornercase.stop` that end the search before the budget is used up: when the critical set is known
             well enough (``stop.missed(0.05)``), after a time, or when there is no improvement. A sequence combines
-            rules, as in ``[stop.missed(0.1), stop.seconds(60)]``: all of those about the critical set must hold; each
-            of the others ends the search by itself. For a rule of your own, call `explore` in a loop with a growing
-            `budget`, and end the loop yourself.
+            rules, as in ``[stop.missed(0.1), stop.seconds(60)]``. All its rules about the critical set must hold to end
+            the search; each other rule ends the search by itself. For a rule of your own, call `explore` in a loop with
+            a growing `budget`, and end the loop yourself.
         runs : Runs, optional
             How scenarios are run.
         batch : int, optional
@@ -347,13 +350,14 @@ class Study(PathLike[str]):
         asynchronous : bool, optional
             Propose the next scenario as soon as one has ended, instead of in rounds.
         audit : float, optional
-            Fraction of the scenarios, up to 0.5, that are drawn at random and hidden from the search, to assess its
-            result.
+            Fraction of the scenarios, up to 0.5, that are drawn at random and hidden from the optimizer, as a check of
+            the search.
         warm_start : Study or path, optional
             Earlier study with the same parameters, but another driver, simulator or time step; the search begins with
-            its scores. Its ranges may differ: scenarios outside of these are left out. Metrics that it lacks, or that
-            it measured against other entities, are measured from its recordings; a condition has to be the same. At
-            least 10 different scores are needed. ``LevelSet()``, ``Committee()`` and ``Auto()`` learn from it.
+            the scores of the earlier study. The ranges may differ: earlier scenarios outside of the new ranges are left
+            out. Metrics that the earlier study lacks, or has measured against other entities, are measured from its
+            recordings. A condition has to be the same. At least 10 different scores are needed. ``LevelSet()``,
+            ``Committee()`` and ``Auto()`` learn from an earlier study.
         retry_failed : bool, default False
             Run the failed scenarios of the study again before the search goes on.
         progress : bool, optional
@@ -366,7 +370,7 @@ class Study(PathLike[str]):
         Raises
         ------
         InputError
-            An argument cannot be used, or the study belongs to another exploration; it is left unchanged.
+            An argument cannot be used, or the study belongs to another exploration. The study is left unchanged.
         KeyboardInterrupt
             The search was interrupted; scenarios that have ended are stored.
 
@@ -422,9 +426,9 @@ class Study(PathLike[str]):
     ) -> dict[str, Analysis]:
         """Cluster the scenarios by behaviour and by criticality, and store the result.
 
-        Scenarios are compared by several *aspects*, one at a time: how the ego moved, from where it saw the other, how
-        critical each instant was. For each aspect, Dynamic Time Warping gives distances between scenarios, and the
-        clusters are found from these distances.
+        Scenarios are compared by several *aspects*, one at a time: how the ego moved, in which direction the ego saw
+        the other entity, how critical each instant was. For each aspect, Dynamic Time Warping gives distances between
+        scenarios, and the clusters are found from these distances.
 
         Parameters
         ----------
@@ -439,15 +443,18 @@ class Study(PathLike[str]):
         method : {"dbscan", "hdbscan"}, optional
             Algorithm that finds the clusters; by default DBSCAN.
         window : float, optional
-            Largest time difference in s of two instants that are matched; by default there is no limit.
+            Largest time difference in s of two instants that are matched, beyond the difference of the recordings'
+            lengths; by default there is no limit.
         keep_clusters : bool, default False
-            Keep the existing clusters, and assign scenarios to them that were run since.
+            Keep the existing clusters, and assign scenarios that were run since to these clusters.
         threshold : float, optional
-            Score from which a scenario is critical; clusters are compared with it. By default that of the study.
+            Score from which a scenario is critical; clusters are compared with the critical scenarios. By default the
+            threshold of the study.
         workers : int, default 1
-            Processes of a local cluster.
+            Number of processes of a local Dask cluster.
         cluster : str or distributed.Client, optional
-            Dask cluster that computes the distances.
+            Dask cluster that computes the distances: ``"local"`` for `workers` local processes, the address of a
+            scheduler, the file that a scheduler wrote, or a client.
         memory : str or float, default "4 GB"
             Memory limit of the process, in bytes or as text.
         progress : bool, default False
@@ -456,7 +463,7 @@ class Study(PathLike[str]):
         Returns
         -------
         dict of str to Analysis
-            By aspect.
+            Clusters of each aspect.
 
         Raises
         ------
@@ -511,34 +518,37 @@ class Study(PathLike[str]):
         Parameters
         ----------
         folder : path
-            Folder to write, with a manifest; a reduced set in it is replaced.
+            Folder to write, with a manifest. An earlier reduced set in the folder is replaced.
         size : int, optional
             Number of scenarios to select. Without `size`, `share`, `cover` and `archetypes`, a tenth of the scenarios
             is selected.
         share : float, optional
             Fraction of the scenarios to select, above 0 and up to 1.
         cover : float, optional
-            Select the fewest scenarios such that every other scenario has a distance of at most this fraction of the
-            largest distance to a selected one.
+            Select as few scenarios as possible, such that the distance of each scenario to the nearest selected
+            scenario is at most this fraction of the largest distance.
         archetypes : int or "auto", optional
-            Select only prototypes and this number of archetypes of each cluster, as in the paper.
+            Select from each cluster only the prototype (most central scenario) and at most this number of archetypes
+            (extreme scenarios), as in the paper.
         archetypes_by : {"auto", "hull", "pcha", "parts", "kernel"}, default "auto"
             Method that finds archetypes; see `cornercase.reduction.reduce`.
         by : str, optional
-            Aspect whose clusters are represented; by default that whose clusters say most about how scenarios end.
-            ``"bands:METRIC"`` represents bands of criticality instead.
+            Aspect (what scenarios are compared by) whose clusters are represented; by default the aspect whose clusters
+            say most about how scenarios end. ``"bands:METRIC"`` represents bands of high, medium and low criticality by
+            a metric instead.
         within : float, optional
-            Distance up to which scenarios count as alike, as fraction of the median distance within clusters; 0.5 by
+            Distance up to which scenarios count as similar, as fraction of the median distance within clusters; 0.5 by
             default.
         threshold : float, optional
-            Score from which a scenario is critical, for selection and evaluation; by default that of the study.
+            Score from which a scenario is critical, for selection and evaluation; by default the threshold of the
+            study.
         kill_matrix : KillMatrix, optional
-            Which scenarios kill which mutants of the driver, from `cornercase.suite.analyze_mutants`. Scenarios that
-            together kill as many as possible are selected first.
+            Matrix from `cornercase.suite.analyze_mutants`, which says which scenarios kill which mutants (faulty
+            variants of the driver). Scenarios that together kill as many mutants as possible are selected first.
         memory : str or float, default "4 GB"
             Memory limit of the process, in bytes or as text.
         progress : bool, default False
-            Show a progress bar for what takes more than two seconds.
+            Show a progress bar for steps that take more than two seconds.
 
         Returns
         -------
@@ -548,14 +558,15 @@ class Study(PathLike[str]):
         Raises
         ------
         InputError
-            The study was not clustered, an argument is out of range, the scenario file is not found or not the one that
-            was explored, or the folder cannot be written.
+            The study was not clustered, an argument is out of range, the scenario file is missing or differs from the
+            explored file, or the folder cannot be written.
 
         Warns
         -----
         NoticeWarning
-            Fewer scenarios than requested were selected, since all others are alike to a selected one; or scenarios
-            were run since `cluster`, which are left out: cluster again, or with ``keep_clusters=True``.
+            Fewer scenarios than requested were selected, since all others are similar to a selected scenario. Or
+            scenarios that were run after `cluster` are left out; call `cluster` again, with ``keep_clusters=True`` to
+            keep the clusters.
 
         See Also
         --------
@@ -601,7 +612,7 @@ class Study(PathLike[str]):
         figures : bool or path, default False
             Also write the figures as PNG and SVG into this folder; True for a folder beside the page.
         threshold : float, optional
-            Score from which a scenario is critical; by default that of the study.
+            Score from which a scenario is critical; by default the threshold of the study.
         memory : str or float, default "4 GB"
             Memory limit of the process, as ``"500 MB"`` or in bytes.
         progress : bool, default False
@@ -610,7 +621,7 @@ class Study(PathLike[str]):
         Returns
         -------
         Page
-            The file; a notebook shows it.
+            The written file; a notebook shows a page.
 
         Raises
         ------
@@ -642,7 +653,7 @@ class Study(PathLike[str]):
         browser: bool = False,
         show: Callable[[str], object] = print,
     ) -> None:
-        """Serve the report as a live page that grows with the study, until interrupted.
+        """Serve the report as a live page that grows with the study, until Ctrl-C.
 
         Parameters
         ----------
@@ -686,20 +697,20 @@ class Study(PathLike[str]):
         path : path
             ``.html`` for a page to play, scrub and zoom in any browser; ``.gif`` or ``.mp4`` for a film.
         next_to : int, optional
-            Id of another scenario, shown beside it on the same clock.
+            Id of a second scenario, shown at the same time beside the first.
         fps : float, optional
             Frames per second of a film, at most 60; default: 25 for MP4, 10 for GIF.
         speed : float, default 1
             Speed of a film: 0.5 shows 1 s of the recording in 2 s.
         threshold : float, optional
-            Score from which a scenario is critical; by default that of the study.
+            Score from which a scenario is critical; by default the threshold of the study.
         progress : bool, default False
             Show a progress bar.
 
         Returns
         -------
         Page
-            The file; a notebook shows it.
+            The written file; a notebook shows a page.
 
         Raises
         ------
@@ -736,7 +747,7 @@ class Study(PathLike[str]):
         runs: Runs | None = None,
         progress: bool = False,
     ) -> Estimation:
-        """Estimate the probability of critical scenarios and collisions under the distributions of the space.
+        """Estimate the probability of critical scenarios and collisions under the distributions of the parameters.
 
         New scenarios are run and stored in a study of their own. The same call again resumes an interrupted estimate.
 
@@ -745,22 +756,24 @@ class Study(PathLike[str]):
         path : path
             Study of the estimate, to create or resume. The study that was explored is only read.
         budget : int, default 2000
-            Number of scenarios in total, 100 or more; at most 40 % of the first budget are used for learning.
+            Number of scenarios in total, 100 or more. At most 40 % of the budget of the first call are used to learn
+            where critical scenarios are frequent.
         threshold : float, optional
-            Score from which a scenario is critical; by default that of the study.
+            Score from which a scenario is critical; by default the threshold of the study.
         encounter : float, default 10.0
-            Largest gap in m between the boxes of ego and other entity that counts as an encounter.
+            Largest gap in m between the bounding boxes of ego and other entity that counts as an encounter.
         seed : int, default 0
             The same seed gives the same result.
         runs : Runs, optional
-            How scenarios are run; each is run once.
+            How scenarios are run; each scenario is run once.
         progress : bool, default False
             Show a progress bar.
 
         Returns
         -------
         Estimation
-            The probability of an encounter comes from the first draws alone; see there.
+            Probabilities of critical scenarios, collisions and encounters, with intervals. `Estimation` says which
+            scenarios each probability comes from.
 
         Raises
         ------
@@ -797,12 +810,12 @@ class Study(PathLike[str]):
         -------
         DataFrame
             One row per scenario, indexed by its id: ``round``, ``state``, the parameters, the score by each metric (in
-            its unit, ``cornercase.metrics.METRICS.create(name).unit``), ``objective`` (the sum that was minimized, if
-            the problem has `weights`), ``critical`` (whether the score is, by the threshold or condition of the study;
-            only if there is one), ``collision`` (the entity that the ego collides with first), ``impact speed`` in m/s,
-            and once they are known ``cluster by …`` (-1 for noise), ``outcome`` and ``note``; ``error`` if it failed.
-            All other columns are listed in `cornercase.study.StudyFile.table`, which lacks ``critical``, as do the
-            tables that `export` writes.
+            the unit ``cornercase.metrics.METRICS.create(name).unit``), ``objective`` (the sum that was minimized, if
+            the problem has `weights`), ``critical`` (True if the scenario is critical; only if the study has a
+            threshold or condition), ``collision`` (the entity that the ego collides with first), ``impact speed`` in
+            m/s, and ``error`` if the scenario failed. As soon as they are known, there are ``cluster by …`` (-1 for
+            noise), ``outcome`` and ``note``. `cornercase.study.StudyFile.table` lists all other columns; its table
+            lacks ``critical``, as do the tables that `export` writes.
 
         Examples
         --------
@@ -818,21 +831,21 @@ class Study(PathLike[str]):
     def most_critical(self, n: int = 10, metric: str | None = None) -> pd.DataFrame:
         """Make a table of the most critical scenarios.
 
-        Many scenarios may have the same score, such as a time to collision of 0 s. Of these, those in which the ego
-        collides come first, and the higher the speed at contact the earlier.
+        Many scenarios may have the same score, such as a time to collision of 0 s. Among scenarios with the same score,
+        scenarios in which the ego collides come first, the highest speed at contact before lower speeds.
 
         Parameters
         ----------
         n : int, default 10
             Largest number of rows.
         metric : str, optional
-            By default what was searched: the first metric of the study, or the weighted sum. For a Pareto front it is
-            the first metric; see `pareto_front`.
+            By default the objective of the search: the first metric of the study, or the weighted sum. If a Pareto
+            front was searched, the first metric; see `pareto_front`.
 
         Returns
         -------
         DataFrame
-            Rows of `table`, the most critical one first.
+            Rows of `table`, the most critical scenario first.
 
         Raises
         ------
@@ -851,7 +864,7 @@ class Study(PathLike[str]):
         Returns
         -------
         DataFrame
-            Rows of `table`, the most critical one by the first metric first.
+            Rows of `table`, the most critical scenario by the first metric first.
 
         Raises
         ------
@@ -890,7 +903,7 @@ class Study(PathLike[str]):
 
     @suggest_arguments
     def course(self, scenario: int, metric: str | None = None) -> FloatArray:
-        """Read the course of a metric in a scenario.
+        """Read the course of a metric over time in a scenario.
 
         Parameters
         ----------
@@ -902,9 +915,10 @@ class Study(PathLike[str]):
         Returns
         -------
         ndarray of float64, shape (T,)
-            In the metric's unit, at the times of `recording`; as the metric gives it: NaN where it is not defined,
-            ``inf`` where what it measures never comes. The cap does not limit it: only scores and the comparison of
-            courses use that. Of several other entities, that against which the scenario is most critical.
+            Values in the metric's unit at the T times of `recording`: NaN while the metric is not defined, ``inf``
+            while the measured event never comes. The metric's cap does not limit the values, only scores and the
+            comparison of courses. With several other entities, the course is measured against the entity for which the
+            scenario is most critical.
 
         Raises
         ------
@@ -916,17 +930,17 @@ class Study(PathLike[str]):
 
     @suggest_arguments
     def critical_set(self, *, threshold: float | None = None) -> CriticalEstimates:
-        """Estimate which fraction of the space is critical, and how much of the critical part was missed.
+        """Estimate which fraction of the parameter space is critical, and how much of the critical part was missed.
 
         Parameters
         ----------
         threshold : float, optional
-            Score from which a scenario is critical; by default that of the study.
+            Score from which a scenario is critical; by default the threshold of the study.
 
         Returns
         -------
         CriticalEstimates
-            The estimates, with intervals or the reasons why there are none.
+            The estimates, with intervals or the reasons why there are no intervals.
 
         Raises
         ------
@@ -982,12 +996,12 @@ class Study(PathLike[str]):
     def summary(self, *, threshold: float | None = None) -> Summary:
         """Summarize what was run and what was found, with all stored clusters and the reduced set.
 
-        ``print(study.summary())`` says it in the sentences of ``cornercase show``.
+        ``print(study.summary())`` prints the same sentences as ``cornercase show``.
 
         Parameters
         ----------
         threshold : float, optional
-            Score from which a scenario is critical; by default that of the study.
+            Score from which a scenario is critical; by default the threshold of the study.
 
         Returns
         -------
@@ -1011,8 +1025,8 @@ class Study(PathLike[str]):
         ----------
         folder : path
             Folder for ``scenarios.csv``, and for ``recordings/ID.csv`` and ``courses/ID.csv`` of each scenario.
-            ``parameters.csv`` names each recording with its parameters, so that `cornercase.import_recordings` can read
-            the folder.
+            ``parameters.csv`` lists the file name and the parameters of each recording, so that
+            `cornercase.import_recordings` can read the folder.
         parquet : bool, default False
             Also write ``scenarios.parquet``, ``recordings.parquet`` and ``courses.parquet`` of all scenarios.
 
@@ -1026,7 +1040,7 @@ class Study(PathLike[str]):
 
     @property
     def _file(self) -> Path:
-        """Path of the file; `InputError` if no scenario was run yet."""
+        """Path of the study file; raises `InputError` if no scenario was run yet."""
         if self._problem is not None and not self.path.exists():
             raise InputError(f"{self.path}: no scenario was run yet; run some with `explore`.")
         return self.path
@@ -1037,7 +1051,7 @@ class Study(PathLike[str]):
         return StudyFile.open(self._file)
 
     def _make_config(self, meta: StudyMeta | None, **settings: Any) -> ExplorationConfig:
-        """Return the configuration of an exploration; `meta` of the existing file gives the defaults of `settings`."""
+        """Return the configuration of an exploration; `meta` of an existing file gives the defaults of `settings`."""
         if self._problem is None:
             return replace(self._config_to_continue(), **settings)
         if meta is not None:
@@ -1045,7 +1059,7 @@ class Study(PathLike[str]):
         return config_from_problem(self._problem, seed=self.seed, **self._simulator_fields, **settings)
 
     def _config_to_continue(self) -> ExplorationConfig:
-        """Return the configuration that the file stores; a simulator that was given replaces the stored one."""
+        """Return the configuration that the file stores; a simulator given to `open` replaces the stored simulator."""
         fields = dict(self._simulator_fields)
         with self._read() as file:
             config = config_from_study(
@@ -1072,7 +1086,7 @@ class Study(PathLike[str]):
             return f"<Study {str(self.path)!r}: {error}>"
 
     def _repr_html_(self) -> str:
-        """Description of the study and its most critical scenarios, for notebooks."""
+        """Return a description of the study and its most critical scenarios as HTML, for notebooks."""
         if not self.path.exists():
             return render_html(repr(self))
         with self._read() as file, file.snapshot():
@@ -1085,7 +1099,7 @@ class Study(PathLike[str]):
 
 
 def _table_with_critical(study: StudyFile) -> pd.DataFrame:
-    """Return the table of all scenarios, with the column ``critical`` if something says what is critical."""
+    """Return the table of all scenarios, with the column ``critical`` if the study has a threshold or condition."""
     import pandas as pd
 
     table = study.table()
@@ -1100,13 +1114,13 @@ def _table_with_critical(study: StudyFile) -> pd.DataFrame:
 
 
 def _describe_unknown_critical(study: StudyFile) -> str:
-    """Say why nothing can be estimated about the critical part of the space."""
+    """Return a sentence that says why nothing can be estimated about the critical part of the parameter space."""
     if not study.finished_rows():
         return f"{study.path}: no scenario has a result, so nothing is known about the critical ones."
     objective = study.objective
     what = "the weighted sum" if objective.weights else f"the metric {objective.label}"
     unit = f", in {objective.unit}" if objective.unit else ""
     return (
-        f"{study.path}: nothing says from which score on a scenario is critical, since {what} has no threshold of its"
-        f" own; give `threshold`{unit}."
+        f"{study.path}: it is not known from which score on a scenario is critical, since {what} has no threshold of"
+        f" its own; give `threshold`{unit}."
     )

@@ -1,4 +1,4 @@
-"""The class `Suite` of the public API: run a few selected scenarios again."""
+"""Class `Suite` of the public API, which runs concrete scenarios and judges the runs."""
 
 from __future__ import annotations
 
@@ -25,22 +25,23 @@ if TYPE_CHECKING:
 
 
 class Suite:
-    """Concrete scenarios, such as a reduced set, to test versions of a system with; make one with `open`.
+    """Suite of concrete scenarios that versions of a system are tested with; make a suite with `open`.
 
     Parameters
     ----------
     path : path
-        Folder of a reduced set or its manifest, or any folder of concrete scenarios.
+        Folder of a reduced set (scenarios that `Study.reduce` selected) or its ``manifest.json``, any other folder of
+        concrete scenarios, or one scenario file.
     ego : str, optional
-        Name of the entity under test; by default that of the manifest.
+        Name of the entity under test; by default the ego of the manifest.
     other : str or sequence of str, optional
-        Entity that the ego is measured against; by default that of the manifest. If there are several, the most
-        critical score counts; ``"*"`` stands for all other entities in the files.
+        Entities that the ego is measured against; by default as in the manifest. If there are several entities, the
+        most critical score counts. ``"*"`` stands for all other entities in the files.
 
     Attributes
     ----------
     path : Path
-        The folder, or the manifest.
+        The folder, manifest or scenario file.
 
     Raises
     ------
@@ -69,11 +70,12 @@ class Suite:
         Parameters
         ----------
         path : path
-            Folder of a reduced set or its manifest, or any folder of concrete scenarios.
+            Folder of a reduced set (scenarios that `Study.reduce` selected) or its ``manifest.json``, any other folder
+            of concrete scenarios, or one scenario file.
         ego : str, optional
-            Name of the entity under test; by default that of the manifest.
+            Name of the entity under test; by default the ego of the manifest.
         other : str or sequence of str, optional
-            Entity that the ego is measured against; by default that of the manifest. ``"*"`` stands for all other
+            Entities that the ego is measured against; by default as in the manifest. ``"*"`` stands for all other
             entities.
 
         Returns
@@ -105,39 +107,39 @@ class Suite:
         seed: int = 0,
         progress: bool = False,
     ) -> SuiteResult:
-        """Run the scenarios, judge them, and compare them with the earlier recordings.
+        """Run the scenarios, judge the runs by requirements, and compare the recordings with earlier recordings.
 
-        Each scenario is stored as soon as it has ended. The same call again resumes an interrupted run. With other
-        requirements, it judges the stored runs.
+        Each scenario is stored as soon as it has ended. The same call again resumes an interrupted run. A call with
+        other requirements judges the stored runs.
 
         Parameters
         ----------
         study : path, optional
-            Study to create or continue. By default it is beside the folder of the suite, with the name of the folder
-            and ``.run.db``. Each driver or simulator needs a study of its own.
+            Study to create or continue; by default ``FOLDER.run.db`` beside the folder of the suite. Each driver or
+            simulator needs a study of its own.
         require : sequence of str, Expression or Requirement
             Requirements on each scenario, as `cornercase.suite.Requirement.parse` reads them.
         requirements : path, optional
             TOML or YAML file with further requirements.
         require_from_file : bool, default False
-            Use the criteria for CARLA's ScenarioRunner in the files as requirements. A notice names criteria that a
-            recording cannot decide.
+            Also use the criteria that the files contain for CARLA's ScenarioRunner as requirements. A notice names
+            criteria that a recording cannot decide.
         metrics : Metric or str, or sequence of these
-            Criticality metrics to store; your own as objects. By default those of the manifest; without a manifest
-            those in the requirements, or else ``clearance``.
+            Criticality metrics to store; give a metric of your own as an object. By default the metrics of the
+            manifest; without a manifest the metrics in the requirements, or else ``clearance``.
         simulator : Simulator or str, optional
-            By default that of the manifest; without a manifest the builtin simulator.
+            By default the simulator of the manifest; without a manifest the builtin simulator.
         drivers : mapping of str to str, SystemUnderTest, Driver or Behaviour, optional
-            Drivers by entity: the name of a preset, ``package.module:Class``, or an object. Names may have options
-            after a colon. By default the drivers in the files.
+            Drivers by entity: the name of a preset, ``package.module:Class``, or an object. A name may be followed by
+            a colon and options. By default the drivers in the files.
         runs : Runs, optional
             Where scenarios are run, and what happens if a simulator dies or hangs. Each scenario is run once.
         against : path, optional
             Study with earlier recordings: the study that was reduced, or an earlier run of the suite. By default the
             study that was reduced, if it is beside the manifest or in the folder above.
         mutants : int, optional
-            Number of mutants of the ego's driver to run the scenarios with, to count how many are killed: see
-            `cornercase.suite.run_suite`.
+            Number of mutants (faulty variants) of the ego's driver that the scenarios are also run with. The result
+            says how many mutants violate a requirement: see `cornercase.suite.run_suite`.
         seed : int, default 0
             The same seed gives the same mutants.
         progress : bool, default False
@@ -151,7 +153,7 @@ class Suite:
         ------
         InputError
             An argument or file cannot be used, a file of the manifest is missing or has changed, no scenario can be
-            run, or the study is of something else.
+            run, or the study belongs to another suite or other settings.
 
         Warns
         -----
@@ -206,5 +208,5 @@ class Suite:
         return f"<Suite {str(self.path)!r}: {len(self._contents.scenarios)} scenarios>"
 
     def _repr_html_(self) -> str:
-        """Table of the scenarios, for notebooks."""
+        """Return a table of the scenarios as HTML, for notebooks."""
         return render_html_table(repr(self), self.table(), n_rows=len(self._contents.scenarios))

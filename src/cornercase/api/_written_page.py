@@ -1,4 +1,4 @@
-"""A page that was written to a file, which notebooks show."""
+"""Written page or film, which a notebook can show."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _MAX_BYTES: Final = 20_000_000
 
 
 class Page(os.PathLike[str]):
-    """A file that was written; a notebook shows its content if it is an HTML page.
+    """Written page or film; a notebook shows the content of an HTML page, and the path of any other file.
 
     Parameters
     ----------
@@ -47,7 +47,10 @@ class Page(os.PathLike[str]):
         return f"<Page {str(self.path)!r}>"
 
     def _repr_html_(self) -> str:
-        """The page in a frame that cannot access the notebook; for films and missing or large files, a line of text."""
+        """Return the page as HTML in a frame that cannot access the notebook.
+
+        For a film, or for a file that is missing or large, return a line of text.
+        """
         try:
             if self.path.suffix.lower() not in (".html", ".htm") or self.path.stat().st_size > _MAX_BYTES:
                 return render_html(str(self.path))
