@@ -108,9 +108,9 @@ def test_a_contradiction_is_one_sentence(texts, says):
         ("Ego=my_aeb", "a class of my_aeb.py is named as 'my_aeb:Class'."),
         ("Ego=my_aeb:aeb", "has no class 'aeb'; did you mean 'Aeb'?"),
         ("Ego=sut.toml", "give a file that names the drivers without an entity, as in --sut sut.toml."),
-        ("Brake.fmu", "write it as ENTITY=NAME, as Ego=fmu:Brake.fmu;"),
-        ("./hold", "write it as ENTITY=NAME, as Ego=exec:./hold;"),
-        ("fmu:Brake.fmu", "write it as ENTITY=NAME, as Ego=fmu:Brake.fmu;"),
+        ("Brake.fmu", "write it as ENTITY=NAME, as in Ego=fmu:Brake.fmu;"),
+        ("./hold", "write it as ENTITY=NAME, as in Ego=exec:./hold;"),
+        ("fmu:Brake.fmu", "write it as ENTITY=NAME, as in Ego=fmu:Brake.fmu;"),
         ("Ego=nrmal", "did you mean 'normal'?"),
     ],
 )
@@ -124,7 +124,7 @@ def test_a_file_or_program_without_its_prefix_is_named_as_it_has_to_be(folder, m
 
 
 def test_several_parts_in_one_option_are_refused():
-    with pytest.raises(InputError, match="give each with an option of its own"):
+    with pytest.raises(InputError, match="give each sensor or vehicle with an option of its own"):
         combine_drivers((), ["Ego=normal"], ["Ego=blind + blind"], ())
 
 

@@ -106,7 +106,7 @@ def test_stumble_10_many_files_are_checked_at_once(tmp_path):
     ("options", "words"),
     [
         (("--metric", "WTTC"), "did you mean 'wttc'?"),
-        (("--metric", "wttc", "--driver", "aggressive"), "write it as ENTITY=NAME, as Ego=aggressive"),
+        (("--metric", "wttc", "--driver", "aggressive"), "write it as ENTITY=NAME, as in Ego=aggressive"),
     ],
 )
 def test_stumble_10_what_is_meant_is_suggested(options, words, tmp_path):

@@ -1,4 +1,4 @@
-"""The command line: parse options, call the API, print results."""
+"""Command line of cornercase, which parses options, calls the API and prints results."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ __all__ = ["app", "main"]
 
 
 def main() -> None:
-    """Run the command line; any failure prints one sentence and returns an exit code."""
+    """Run the command line and exit; a failure prints one sentence and sets the exit code."""
     gc.set_threshold(_OBJECTS_BETWEEN_COLLECTIONS)
     # No collection at exit, which would take half a second.
     atexit.register(gc.freeze)

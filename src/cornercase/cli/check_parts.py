@@ -1,4 +1,4 @@
-"""Commands `check-sut` and `check-simulator`: check whether what a user attaches keeps its contract."""
+"""Commands `check-sut` and `check-simulator`, which check a user's driving system or simulator by its contract."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ def check_sut(
     ego: _Ego = "Ego",
     as_json: opt.Json = False,
 ) -> None:
-    """Check that a system under test repeats itself, asks for what vehicles can do, and depends on its scenario only.
+    """Check that a system under test is repeatable, requests what vehicles can do, and depends on its scenario only.
 
-    The exit code is 1 if something does not hold.
+    The exit code is 1 if a check fails.
 
     \b
     Example:
@@ -66,12 +66,12 @@ def check_simulator(
     ] = None,
     as_json: opt.Json = False,
 ) -> None:
-    """Check that a simulator repeats itself as it declares, keeps to units and axes, and agrees with the builtin one.
+    """Check that a simulator is as repeatable as it declares, has the right units, and agrees with the builtin one.
 
-    Twelve small scenarios are compared: braking, a lane change, a crossing walker, collisions and others. In two more,
-    a driving function and each agent of the simulator's own drive. If it runs in a process of its own, it is killed on
-    purpose.
-    The exit code is 1 if something does not hold.
+    Twelve small scenarios are compared: braking, a lane change, a crossing walker, collisions and others. In two more
+    scenarios, the ego is driven by a driving function, and by each agent of the simulator. A simulator that runs in a
+    process of its own is also killed on purpose.
+    The exit code is 1 if a check fails.
 
     \b
     Example:
@@ -118,7 +118,7 @@ def _read_cases(scenario: Path | None, space: Path | None, ego: str) -> Any:
 
 
 def _run(what: str, name: str, checks: Sequence[Any], as_json: bool) -> list[Any]:
-    """Run checks and print what came of each; return the results."""
+    """Run the checks of the system or simulator `name`, print each result, and return all results."""
     from cornercase.testing import run_checks
 
     results, rows, blocked = [], [], Counter[str]()

@@ -14,7 +14,7 @@ COMMANDS_BY_PURPOSE: Final = {
     "What can be chosen": ("metrics", "simulators", "drivers"),
     "Check what is attached or stored": ("check-sut", "check-simulator", "verify", "warm-up"),
 }
-"""Commands by what they are for, in the order of a first study."""
+"""Commands by purpose, in the order in which a first study needs them."""
 
 _MAX_SENTENCE: Final = 200
 
@@ -23,7 +23,7 @@ class GroupedCommands(InterruptibleGroup):
     """Command group whose help has a section for each purpose."""
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
-        """Write the sections of the help; click calls this."""
+        """Write a section of the help for each purpose; click calls this method."""
         width = max(map(len, self.commands))
         for heading, names in COMMANDS_BY_PURPOSE.items():
             with formatter.section(heading):

@@ -1,4 +1,4 @@
-"""Give commands the options that the API defines, and divide their help into sections."""
+"""Decorator that gives commands the options that the API defines, and commands whose help has sections."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 def with_options(*names: str, **defaults: str) -> Callable[[Function], Function]:
-    """Decorator that adds options of the API to a command.
+    """Return a decorator that adds options of the API to a command.
 
-    The command gets their values as keyword arguments, parsed as the API takes them. `defaults` names options that have
-    no default here; each value is the text that help shows instead.
+    The command gets the values of the options as keyword arguments, parsed as the API takes them. `defaults` names
+    further options, whose default the API chooses later; each value is the text that help shows as the default.
     """
     options: dict[str, Option] = {}
     for name in (*names, *defaults):
@@ -55,7 +55,7 @@ def with_options(*names: str, **defaults: str) -> Callable[[Function], Function]
 
 
 def _make_parameter(option: Option) -> Parameter:
-    """Return an option as a parameter of a command's signature, where Typer reads it."""
+    """Return an option as a parameter of a command's signature, from which Typer reads options."""
     declared = typer.Option(
         option.flag,
         metavar=option.metavar,
@@ -91,7 +91,7 @@ class SectionedCommand(TyperCommand):
     """Command whose help has a section for each group of options."""
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
-        """Write the sections of the help; click calls this."""
+        """Write a section of the help for each group of options; click calls this method."""
         sections: dict[str, list[tuple[str, str]]] = {}
         for parameter in self.get_params(ctx):
             heading = "Arguments" if parameter.param_type_name == "argument" else "Options"

@@ -1,4 +1,4 @@
-"""Command `compare`: say whether a version is better or worse than another, and what changed."""
+"""Command `compare`: say whether a new version of a system is better or worse, and what changed."""
 
 from __future__ import annotations
 
@@ -45,11 +45,11 @@ def compare(
 ) -> None:
     """Say whether a new version of a system is better or worse, and what changed, from a study of each version.
 
-    It compares scenarios with the same parameters one by one. To get such pairs, explore both versions with the same
-    seed. The new version is worse where it has a new collision, a requirement newly fails, a scenario can no longer be
+    Scenarios with the same parameters are compared one by one. To get such pairs, explore both versions with the same
+    seed. The new version is worse if there is a new collision, a requirement newly fails, a scenario can no longer be
     run or is newly critical, or a score is more critical by more than its tolerance.
 
-    Exit code 0: nothing is worse; 1: something is worse, even if something else is better; 2: nothing can be said,
+    Exit code 0: nothing is worse; 1: something is worse, even if something else is better; 2: no verdict is possible,
     or bad input.
 
     \b

@@ -1,4 +1,4 @@
-"""The option ``--config``: read other options from a study file."""
+"""Option ``--config``, which reads other options of `explore` from a TOML file, the study file."""
 
 from __future__ import annotations
 
@@ -16,13 +16,16 @@ from cornercase.exploration._explore_options import OPTIONS
 _SCENARIO: Final = Option("OpenSCENARIO file.", annotation="Path | str", name="scenario", flag="--scenario")
 _OPTIONS: Final = {option.key: option for option in (_SCENARIO, *OPTIONS.values(), *DRIVER_OPTIONS.values())}
 _ALLOWED_KEYS: Final = [key for key, option in _OPTIONS.items() if option.in_file]
-# Besides options of the table that must not be in a file.
+# Further options that must not be in a file; they are not in the table above.
 _COMMAND_LINE_ONLY: Final = ("output", "maps", "profile", "config")
 _MAX_BYTES: Final = 1_000_000
 
 
 def read_study_file(path: Path) -> dict[str, Any]:
-    """Read options of `explore` from a file, by their names in Python; `InputError` if it names code or outputs."""
+    """Read options of `explore` from a TOML file, by name in Python.
+
+    Raises `InputError` if an option is unknown or has a wrong type, or could run code or name outputs.
+    """
     options = {}
     for key, value in parse_toml(path, read_utf8(path, _MAX_BYTES)).items():
         if key in _COMMAND_LINE_ONLY or (key in _OPTIONS and not _OPTIONS[key].in_file):
@@ -97,7 +100,7 @@ def _require_numeric_options(path: Path, text: str, option: Option) -> None:
 
 
 def _load_defaults(context: typer.Context, path: Path | None) -> Path | None:
-    """Use the options in a study file as defaults of the command line."""
+    """Use the options in a study file (TOML) as defaults of the command line."""
     if path is not None:
         context.default_map = {**(context.default_map or {}), **read_study_file(path)}
     return path

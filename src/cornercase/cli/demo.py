@@ -63,14 +63,14 @@ def demo(
             # First, as the study stores only the last reduced set.
             if (mutants := paper_experiment_mutant_count(name)) is not None:
                 _write_suite(opened, folder / "suite", mutants, scenario)
-            # By interaction the scenarios of both examples fall into kinds; by the metric they do not.
+            # By interaction the scenarios of both examples form clusters; by the metric they do not.
             reduction.reduce(opened, folder / "reduced", by="interaction", scenario=scenario, progress=True)
             write_report(opened, folder / "report.html", scenario=scenario, progress=True)
     out.print(f"The report is {(folder / 'report.html').resolve()}")
 
 
 def _write_suite(study: StudyFile, folder: Path, mutants: int, scenario: ScenarioFile) -> None:
-    """Write a suite of scenarios that kill mutants of the ego's driver, and print how to run it."""
+    """Write a suite of scenarios that expose faulty variants of the ego's driver, and print how to run the suite."""
     from cornercase import reduction
     from cornercase.suite import analyze_mutants
 

@@ -1,4 +1,4 @@
-"""The options ``--sut``, ``--sensor`` and ``--vehicle``: with ``--driver`` they say who drives, and with what."""
+"""Options ``--sut``, ``--sensor`` and ``--vehicle``, which give entities drivers, sensors and vehicle models."""
 
 from __future__ import annotations
 
@@ -46,13 +46,13 @@ DRIVER_OPTIONS: Final = {
         ),
     )
 }
-"""Options of all commands that take ``--driver``; Python and studies have one text for all."""
+"""Options of all commands that take ``--driver``; Python and studies have one text for driver, sensor and vehicle."""
 
 
 def combine_drivers(
     drivers: Sequence[str], sut: Sequence[str], sensors: Sequence[str], vehicles: Sequence[str]
 ) -> dict[str, str]:
-    """Return, by entity, the one text that says who drives and with what: ``DRIVER + SENSOR + VEHICLE``."""
+    """Combine drivers, sensors and vehicle models into one text per entity: ``DRIVER + SENSOR + VEHICLE``."""
     specs: dict[str, str] = {}
     for option, texts in (("--driver", drivers), ("--sut", sut)):
         for text in texts:
@@ -80,13 +80,13 @@ def combine_drivers(
             if spec in parts[1:]:
                 raise InputError(f"{own} {text}: is given twice; give it once.")
             if own == "--vehicle" and (present := _find_vehicle(parts[1:])) is not None:
-                raise InputError(f"{own} {text}: {entity} has the vehicle '{present}' already; give one.")
+                raise InputError(f"{own} {text}: {entity} has the vehicle '{present}' already; give only one.")
             specs[entity] = SEPARATOR.join([*parts, spec])
     return specs
 
 
 def _read_drivers(text: str, option: str) -> Mapping[str, str]:
-    """Return the drivers that the text of an option gives by entity."""
+    """Return the drivers that the text of an option gives, by entity."""
     if option == "--sut" and "=" not in text and text.endswith(".toml"):
         from cornercase.cli.sut_file import read_sut_file
 
@@ -108,7 +108,9 @@ def _check_equipment(
 
     name = spec.partition(":")[0].strip()
     if SEPARATOR in spec:
-        raise InputError(f"{option} {text}: give each with an option of its own, instead of '{SEPARATOR.strip()}'.")
+        raise InputError(
+            f"{option} {text}: give each sensor or vehicle with an option of its own, not with '{SEPARATOR.strip()}'."
+        )
     if name not in registry:
         kind = option.removeprefix("--")
         hint = f"it is a {other_option.removeprefix('--')}; give it with {other_option}." if name in other else None

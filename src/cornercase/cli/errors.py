@@ -1,4 +1,4 @@
-"""Turn any failure of a command into one sentence and an exit code; only ``--debug`` shows tracebacks."""
+"""Conversion of any failure of a command into one sentence and an exit code; only ``--debug`` shows tracebacks."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ _PACKAGE_FOLDER: Final = Path(__file__).parents[1]
 def run_command(command: Callable[[], Any]) -> int:
     """Run the command line application and return its exit code; a failure prints one sentence to stderr.
 
-    Exit codes: 2 if input, machine or a bug prevented the work; 130 for Ctrl-C and 143 for SIGTERM; 1 if the study
-    being written was lost, or if the output pipe was closed (without a sentence).
+    Exit codes of failures: 2 if input, machine or a bug prevented the work; 130 for Ctrl-C and 143 for SIGTERM; 1 if
+    the study being written was lost, or if the output pipe was closed. A closed pipe prints no sentence.
     """
     try:
         code = command()
@@ -73,7 +73,7 @@ def run_command(command: Callable[[], Any]) -> int:
 
 
 def _say_plainly(error: Any) -> None:
-    """Reword an error about options: name all that are missing with the file's entities, and quote a bad value."""
+    """Reword click's error about options in place: list all missing options, or say what is wrong with a value."""
     if type(error).__name__ == "MissingParameter":
         error.message = _list_missing(error.ctx)
         return
@@ -92,7 +92,10 @@ def _say_plainly(error: Any) -> None:
 
 
 def _list_missing(context: Any) -> str:
-    """Return the options that are missing besides the first, which click names, and the entities of the scenario."""
+    """Return sentences that list all missing options, if several are missing, and the entities of the scenario.
+
+    Click itself names only the first missing option.
+    """
     if context is None:
         return ""
     missing = [
@@ -136,7 +139,7 @@ def _print_error(sentence: str, excerpt: str = "") -> None:
 
 def _expression_excerpt(error: BaseException | None) -> str:
     """Return the lines that show where an expression is wrong; empty if the error is not about an expression."""
-    # An error can be among its own causes, where it was raised again from one of them.
+    # An error can be among its own causes if it was raised again from one of them.
     seen = list[BaseException]()
     while error is not None and error not in seen:
         if isinstance(error, ExpressionError):
@@ -174,7 +177,7 @@ def _describe_error(error: BaseException) -> str:
 
 
 def _file_in_use(frames: list[FrameType]) -> Path | None:
-    """Return the file that the innermost function was working on, else one in the arguments; None without any."""
+    """Return the file that the innermost function was working on, or else a file in the arguments; None if none."""
     values = (value for frame in reversed(frames) for value in frame.f_locals.values() if isinstance(value, Path))
     return next(filter(_is_file, chain(values, map(Path, sys.argv[2:]))), None)
 

@@ -35,8 +35,8 @@ def estimate(
 ) -> None:
     """Estimate how probable critical scenarios and collisions are.
 
-    It draws new scenarios where critical ones are frequent, runs them, and weights them by the distributions of the
-    space. Run the same command again to resume.
+    New scenarios are drawn mainly where critical scenarios are frequent, and weighted by the distributions of the
+    parameters. Run the same command again to resume.
 
     \b
     Example:
@@ -75,7 +75,7 @@ def _print_estimation(estimation: Estimation) -> None:
 
 
 def _format_probability(p: Probability) -> str:
-    """Format a probability, its uncertainty, and the runs that plain Monte Carlo would need for the same."""
+    """Format a probability, its uncertainty, and the runs that plain Monte Carlo needs for the same uncertainty."""
     if p.error is None and p.met:
         return f"between {p.low:.3g} and {p.high:.3g} ({p.method})"
     if p.error is None:

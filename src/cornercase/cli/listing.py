@@ -32,7 +32,7 @@ def metrics(
     *,
     as_json: opt.Json = False,
 ) -> None:
-    """List the criticality metrics, with those of other packages, or print definitions.
+    """List the criticality metrics, also metrics of other packages, or print definitions.
 
     Options of a metric follow a colon: --metric ttc:accelerating=true. The documentation of its class lists them.
 
@@ -96,7 +96,7 @@ def simulators(*, as_json: opt.Json = False) -> None:
 def drivers(
     names: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[NAME]…", help="Those whose options are explained; default: list all."),
+        typer.Argument(metavar="[NAME]…", help="Names of what is explained, with options; default: list all."),
     ] = None,
     *,
     as_json: opt.Json = False,
@@ -142,7 +142,7 @@ def _format_option(name: str, default: object) -> str:
 
 
 def _describe_factory(kind: str, name: str, factory: Callable[..., Any]) -> dict[str, Any]:
-    """Return kind and name of a driver, sensor or vehicle, what it is, and its options with their defaults."""
+    """Return the kind, name, summary, options with defaults, and documentation of a driver, sensor or vehicle."""
     fixed = factory.keywords if isinstance(factory, partial) else ()
     options = {
         key: None if parameter.default is Parameter.empty else parameter.default

@@ -1,4 +1,4 @@
-"""Translate the API's messages into the terms of the command line."""
+"""Translation of the API's messages into the terms of the command line."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from cornercase._common.text.sanitize import shorten
 from cornercase.cli.options import app, err, show_tracebacks
 
 MAX_LINE_LENGTH: Final = 1400
-"""Longest line that is printed about an input, however long the names in it are."""
-# Parameters and verbs that no command has under this name.
+"""Number of characters to which a printed line is shortened, since names in an input may be long."""
+# Parameters and functions of the API for which the command line has another name.
 _OPTION_BY_PARAMETER: Final = {
     "client": "--cluster",
     "folder": "-o",
@@ -24,14 +24,14 @@ _OPTION_BY_PARAMETER: Final = {
     "study": "-o",
     "Study.create": "'cornercase explore'",
 }
-# Also a column of recordings, which messages name.
+# Option of a command, but in messages the column of recordings.
 _AMBIGUOUS: Final = "speed"
 _QUOTED: Final = re.compile(r"`([\w.]+)`")
 _DRIVER: Final = re.compile(r"as in \{'([^']*)': '([^']*)'\}")
 
 
 def use_option_names(message: str) -> str:
-    """Replace names in backticks by options and commands: `` `stop_when` `` becomes ``--stop-when``.
+    """Replace Python names in backticks by options and commands: `` `stop_when` `` becomes ``--stop-when``.
 
     A driver by entity, ``{'Ego': 'normal'}``, becomes ``Ego=normal``.
     """

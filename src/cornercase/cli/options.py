@@ -1,4 +1,4 @@
-"""The command line application, and options that several commands share."""
+"""Command line application, and options that several commands share."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ _CONSOLE_SETTINGS: Final[Any] = {"soft_wrap": True, "highlight": False, "markup"
 out = _EscapingConsole(**_CONSOLE_SETTINGS)
 err = _EscapingConsole(stderr=True, **_CONSOLE_SETTINGS)
 show_tracebacks: ContextVar[bool] = ContextVar("debugging", default=False)
-"""Whether tracebacks are shown."""
+"""True if failures show tracebacks, as with ``--debug``."""
 
 Option = typer.Option
 
@@ -64,7 +64,8 @@ NamedScenario = Annotated[
     Path | None,
     Option(
         metavar="FILE.xosc",
-        help="Scenario that was explored; by default searched at the stored path, beside the study and here.",
+        help="Scenario that was explored; by default searched at the stored path, beside the study and in the current"
+        " folder.",
     ),
 ]
 StudyFile = Annotated[Path, typer.Argument(metavar="STUDY.db", help="Study, as written by explore.")]
@@ -102,7 +103,7 @@ Memory = Annotated[str, Option(metavar="SIZE", help="Memory that the command may
 
 
 class _JsonOutput:
-    """Keeps stdout for JSON: whatever else is printed, as by code of the user, goes to stderr."""
+    """Stdout that is reserved for JSON; all other output, such as prints of user code, goes to stderr."""
 
     def __init__(self) -> None:
         self._stdout, self._stderr = sys.stdout, sys.stderr
@@ -110,29 +111,29 @@ class _JsonOutput:
             self._numbers = self._stdout.fileno(), self._stderr.fileno()
             self._copy: int | None = os.dup(self._numbers[0])
         except (AttributeError, OSError, ValueError):
-            # One of them is closed, or no file, as in a notebook.
+            # A stream is closed or is no file, as in a notebook.
             self._copy = None
 
     def redirect(self) -> None:
-        """Send what this process, and those that it starts, print to stderr."""
+        """Redirect to stderr what this process and its child processes print to stdout."""
         if self._copy is not None:
             os.dup2(self._numbers[1], self._numbers[0])
         sys.stdout = self._stderr
 
     def restore(self) -> None:
-        """End the redirection."""
+        """End the redirection for now; `redirect` can start it again."""
         sys.stdout = self._stdout
         if self._copy is not None:
             os.dup2(self._copy, self._numbers[0])
 
     def close(self) -> None:
-        """End the redirection for good."""
+        """End the redirection for good, and close the copy of stdout."""
         self.restore()
         if self._copy is not None:
             os.close(self._copy)
 
     def write(self, text: str) -> None:
-        """Write to stdout."""
+        """Write a text to the original stdout."""
         self.restore()
         try:
             self._stdout.write(text)
@@ -210,13 +211,13 @@ def _global_options(
         raise typer.Exit
 
 
-# Reasons of failures that are printed, and characters of each.
+# Largest number of printed reasons of failures, and of characters of each reason.
 _MAX_REASONS: Final = 3
 _MAX_REASON_LENGTH: Final = 300
 
 
 def print_ending(result: ExplorationResult) -> None:
-    """Print how an exploration ended, and exit with the matching exit code."""
+    """Print how an exploration ended; end the command if it was interrupted, failed, or only checked proposals."""
     if result.reproducible is not None:
         out.print(f"{result.study}: {result.reason}.")
         raise typer.Exit(0 if result.reproducible else 1)

@@ -38,8 +38,8 @@ def paper(
 ) -> None:
     """Draw the figures of Schuett, Otten and Sax (2023) from a study.
 
-    Figure 5 is that of scenario 1, an X-intersection; figure 6 that of scenario 2, a T-intersection. Clusters that are
-    stored in the study stay: set them by hand with analyze, and draw again.
+    Figure 5 shows scenario 1, an X-intersection; figure 6 shows scenario 2, a T-intersection. Clusters that the study
+    already has are drawn as they are: to change them, run analyze with other settings, and draw again.
 
     \b
     Example:

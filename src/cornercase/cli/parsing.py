@@ -1,4 +1,4 @@
-"""Parse values of command line options."""
+"""Functions that parse values of command line options."""
 
 from __future__ import annotations
 
@@ -18,18 +18,17 @@ def parse_pairs(texts: Sequence[str], option: str) -> dict[str, str]:
         name, sign, value = text.partition("=")
         if not sign or not name or not value:
             if option in ("--driver", "--sut", "--sensor", "--vehicle"):
-                hint = "the entity that it belongs to goes before it" if not sign else "give both"
+                hint = "put the entity before the equals sign" if not sign else "give both"
                 spec = value or name or "normal"
                 if option in ("--driver", "--sut"):
                     from cornercase.drivers._missing_prefix import add_prefix
 
                     spec = add_prefix(spec)
-                raise InputError(f"{option} {text}: write it as ENTITY=NAME, as Ego={spec}; {hint}.")
+                raise InputError(f"{option} {text}: write it as ENTITY=NAME, as in Ego={spec}; {hint}.")
             raise InputError(f"{option} {text}: write it as NAME=VALUE.")
         if ":" in name and option in ("--driver", "--sut", "--sensor", "--vehicle"):
             raise InputError(
-                f"{option} {text}: write it as ENTITY=NAME, as Ego={text}; the entity that it belongs to goes before"
-                " it."
+                f"{option} {text}: write it as ENTITY=NAME, as in Ego={text}; put the entity before the equals sign."
             )
         pairs[name] = value
     return pairs
@@ -64,7 +63,7 @@ def parse_number_or_auto(text: str, option: str) -> float | Literal["auto"]:
 
 
 def require_one_of(text: str, choices: tuple[str, ...], option: str) -> Any:
-    """Return `text` if it is one of `choices`; else InputError with a suggestion."""
+    """Return `text` if it is one of `choices`; otherwise raise InputError with a suggestion."""
     if text not in choices:
         raise InputError(f"{option} {text}: {suggest_name(text, choices)}")
     return text

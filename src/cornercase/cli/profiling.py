@@ -1,4 +1,4 @@
-"""The option ``--profile``: write to a file how much time each function took."""
+"""Option ``--profile``, which writes to a file how much time each function took."""
 
 from __future__ import annotations
 

@@ -69,8 +69,8 @@ def import_(
 ) -> None:
     """Make a study from existing recordings, to cluster and reduce them.
 
-    Reads what measure reads: cornercase's and esmini's CSV, SUMO's floating car data, CarMaker's ERG, CARLA's recorder
-    files, ASAM OSI traces, CommonRoad scenarios.
+    Formats: CSV of cornercase and of esmini, SUMO's floating car data, CarMaker's ERG, CARLA's recorder files, ASAM OSI
+    traces, CommonRoad scenarios.
 
     \b
     Example:

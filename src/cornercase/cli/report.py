@@ -62,7 +62,7 @@ def report(
 ) -> None:
     """Write the report: one page that holds everything.
 
-    Of a folder of studies it writes an index of them.
+    For a folder of studies, an index page is written.
 
     \b
     Example:
@@ -84,7 +84,7 @@ def report(
     if study.is_dir():
         if one_page or figures or figures_in is not None or scenario is not None or critical is not None:
             raise InputError(
-                f"{study}: is a folder, of which an index is written; leave --one-page, --figures, --figures-in,"
+                f"{study}: is a folder, for which an index is written; leave --one-page, --figures, --figures-in,"
                 " --scenario and --critical out, or name a study in it."
             )
         page = write_index(study, output)
@@ -110,7 +110,7 @@ def report(
 
 
 def _check_test_card_options(study: Path, test_cards: bool, one_page: bool, unused: Sequence[str]) -> None:
-    """Raise InputError for options that do not go with test cards; `unused` are those that cards have no use for."""
+    """Raise InputError for options that cannot be combined; `unused` are given options without effect on test cards."""
     if not test_cards:
         raise InputError("--ids: chooses the scenarios on test cards; add --test-cards, or leave it out.")
     if one_page:
@@ -149,10 +149,10 @@ def watch(
     browser: Annotated[bool, Option("--browser/--no-browser", help="Open the page in the browser.")] = True,
     maps: opt.Maps = None,
 ) -> None:
-    """Serve the report of a study on this machine; it grows while explore runs.
+    """Serve the report of a study on this machine, as a page that grows while explore runs.
 
-    It needs the extra live. The address contains a password: who knows the address can read the page and write notes.
-    Ctrl-C ends the command.
+    This needs the extra live. The address contains a password: anyone who knows the address can read the page and
+    write notes. Ctrl-C ends the command.
 
     \b
     Example:
@@ -181,7 +181,7 @@ def replay(
     critical: opt.CriticalOverride = None,
     maps: opt.Maps = None,
 ) -> None:
-    """Replay a scenario, as a page or as a film.
+    """Write the replay of a scenario, as a page or as a film.
 
     \b
     Example:
@@ -216,7 +216,9 @@ def show(
     study: opt.StudyFile,
     *,
     critical: opt.CriticalOverride = None,
-    show_all: Annotated[bool, Option("--all", help="Print every number instead of the page's sentences.")] = False,
+    show_all: Annotated[
+        bool, Option("--all", help="Print all numbers instead of the sentences of the report.")
+    ] = False,
     as_json: opt.Json = False,
     config: Annotated[bool, Option("--config", help="Print a study file for cornercase explore --config.")] = False,
 ) -> None:

@@ -35,7 +35,7 @@ def check(
     ] = False,
     simulator: Annotated[
         str | None,
-        Option("--simulator", metavar="NAME", help="Also say what this simulator does otherwise, or refuses."),
+        Option("--simulator", metavar="NAME", help="Also say what this simulator does differently, or refuses."),
     ] = None,
     ego: Annotated[str, Option("--ego", metavar="NAME", help="Entity under test, for --simulator.")] = "Ego",
     maps: opt.Maps = None,
@@ -43,9 +43,9 @@ def check(
     """Check scenario files: what they contain, what has no effect here, and whether they are valid and can run.
 
     Violations of the standard that can be understood in only one way are accepted, and listed as "adapted". The exit
-    code is 1 if a file is not valid or cannot run, or with --strict if something was adapted. With --sut, it also says
-    what drives, and which of its options can be searched. With --simulator, it names parameters that an agent
-    overrides, and parts of the scenario that this simulator ignores or replaces.
+    code is 1 if a file is not valid or cannot run, or with --strict if something was adapted. With --sut, the driver is
+    described, with the options that can be searched. With --simulator, parameters are listed that an agent overrides,
+    and parts of the scenario that this simulator ignores or replaces.
 
     \b
     Example:
@@ -88,7 +88,7 @@ def check(
 
 
 def _print_check(report: Any, drivers: Mapping[str, str], printed: set[tuple[str, str]]) -> None:
-    """Print a report without notices that were `printed` for an earlier file: scenarios share roads and catalogs."""
+    """Print the report of a check, without notices that were `printed` for an earlier file with the same road."""
     from cornercase.drivers._describe import describe_driver
 
     for key, count in report.contents.items():
@@ -134,7 +134,7 @@ def _print_check(report: Any, drivers: Mapping[str, str], printed: set[tuple[str
 
 
 def _print_effects(report: Any, simulator: str, drivers: Mapping[str, str] | None, ego: str) -> bool:
-    """Print what a simulator does otherwise; return whether it takes the scenario."""
+    """Print what a simulator ignores or replaces in a scenario; return True if the simulator can run the scenario."""
     from cornercase.simulators._effects import describe_effects
 
     name = simulator.partition(":")[0]
@@ -169,7 +169,7 @@ def convert_scenario(
 ) -> None:
     """Write a concrete scenario as OpenSCENARIO 1.0, as CARLA's ScenarioRunner reads it.
 
-    It reports parts whose meaning changes slightly, and refuses parts that OpenSCENARIO 1.0 cannot express.
+    Parts whose meaning changes slightly are reported. Parts that OpenSCENARIO 1.0 cannot express are refused.
 
     \b
     Example:

@@ -51,8 +51,8 @@ def simulate(
 ) -> None:
     """Run concrete scenarios and write their recordings.
 
-    Several scenarios, or one with --parameters, go into a folder that import can read. The same command again makes
-    the recordings that are missing; exit code 1: some could not be run.
+    Recordings of several scenarios, or of one with --parameters, go into a folder that import can read. Run the same
+    command again to make missing recordings. Exit code 1: some scenarios could not be run.
 
     \b
     Example:

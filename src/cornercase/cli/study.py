@@ -51,8 +51,8 @@ def analyze(
 ) -> None:
     """Cluster the scenarios of a study, by behaviour and by criticality.
 
-    Aspects: ego-trajectory, ego-speed, ego-motion, behaviour (the ego's distance over time), interaction, relative,
-    bearing (of the other, as the ego sees it), aspects of other packages, and each metric.
+    Aspects (what scenarios are compared by): ego-trajectory, ego-speed, ego-motion, behaviour (the ego's distance over
+    time), interaction, relative, bearing (direction from the ego to the other), aspects of other packages, each metric.
 
     \b
     Example:
@@ -110,7 +110,7 @@ def analyze(
 
 
 def _explore_settings(study: Path, page: Path, by: list[str] | None, **options: Any) -> None:
-    """Write the page of the settings; aspects that the study was not analyzed by are analyzed first."""
+    """Write a page that shows the effect of clustering settings; aspects without clusters are analyzed first."""
     from cornercase import clustering
     from cornercase.report import write_settings_page
     from cornercase.study._study_file import open_study
@@ -159,7 +159,8 @@ def reduce(
         float | None,
         Option(
             metavar="X",
-            help="Keep the fewest scenarios such that all others are within this fraction of the largest distance.",
+            help="Keep as few scenarios as possible, such that each other one is near a kept one: within this fraction"
+            " of the largest distance.",
         ),
     ] = None,
     ids: Annotated[
@@ -174,7 +175,7 @@ def reduce(
         float,
         Option(
             metavar="X",
-            help="Distance up to which scenarios count as alike, as fraction of the median distance in clusters.",
+            help="Distance up to which scenarios count as similar, as fraction of the median distance in clusters.",
         ),
     ] = 0.5,
     kill_mutants: Annotated[

@@ -1,4 +1,4 @@
-"""A file ``sut.toml`` that says who drives entities, and with what sensors and vehicle."""
+"""Reader of a file ``sut.toml``, which gives entities drivers, sensors and vehicle models."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ _PART_KEYS: Final = ("name", "options")
 
 
 def read_sut_file(path: Path) -> dict[str, str]:
-    """Return, by entity, the text ``DRIVER + SENSOR + VEHICLE`` that a file describes.
+    """Return the text ``DRIVER + SENSOR + VEHICLE`` of each entity in a TOML file.
 
-    The user names the file on the command line, so it may name code.
+    The file may name Python code, since the user gives the file on the command line.
     """
     specs = {
         entity: _read_entity(f"{path}: [{entity}]", table)
@@ -49,7 +49,7 @@ def _read_entity(where: str, table: Any) -> str:
 
 
 def _read_part(where: str, part: Any) -> str:
-    """Return the text of a sensor or a vehicle, which is a text or a table with name and options."""
+    """Return the text of a sensor or vehicle from `part`, which is a text or a table with name and options."""
     if not isinstance(part, Mapping):
         return _join(where, part, {})
     _check_keys(where, part, _PART_KEYS)
@@ -59,7 +59,7 @@ def _read_part(where: str, part: Any) -> str:
 
 
 def _join(where: str, name: Any, options: Any) -> str:
-    """Return a name with options, as on the command line."""
+    """Return a name with its options as one text, as on the command line: ``name:key=value``."""
     if not isinstance(name, str) or not name.strip():
         raise InputError(f'{where}: is no text; write it as on the command line, as in "normal:horizon=4".')
     if not isinstance(options, Mapping):

@@ -17,11 +17,11 @@ if TYPE_CHECKING:
     from cornercase.reduction import KillMatrix
     from cornercase.suite import SuiteResult
 
-# Number of named scenarios that kill the most mutants.
+# Largest number of printed scenarios, those that kill the most mutants.
 _MAX_NAMED_SCENARIOS: Final = 3
 # Length of file names that leaves room for the reasons on 80 columns.
 _MAX_FILE_NAME_LENGTH: Final = 30
-# Options that a suite has.
+# Options whose defaults are in the manifest of a suite.
 _OF_MANIFEST: Final = ("ego", "other", "metrics", "simulator", "time_step", "duration", "on_collision")
 
 
@@ -57,7 +57,7 @@ def test_suite(
         bool,
         Option(
             "--require-from-file",
-            help="Also use the criteria for ScenarioRunner in the files that a recording can decide as requirements.",
+            help="Also use criteria for ScenarioRunner in the files as requirements, if a recording can decide them.",
         ),
     ] = False,
     strict: Annotated[bool, Option("--strict", help="Count inconclusive scenarios as not passed.")] = False,
@@ -120,7 +120,7 @@ def test_suite(
 
 
 def _print_result(result: SuiteResult) -> None:
-    # With another driver all recordings are others, and the summary says so.
+    # With another driver all recordings differ, and the summary says so.
     compared = [f"against {result.against.name}"] if result.against and result.has_comparable_recordings else []
     table = Table(
         Column(

@@ -31,7 +31,9 @@ def verify(
     maps: opt.Maps = None,
     **options: Any,
 ) -> None:
-    """Test whether a study is undamaged; exit code 1 if it is not.
+    """Check whether a study is undamaged.
+
+    Exit code 1: the study is damaged, or was repaired only in part.
 
     \b
     Example:

@@ -1,4 +1,4 @@
-"""Command `warm-up`: compile all kernels in advance."""
+"""Command `warm-up`: compile all Numba kernels in advance."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ _LATE_PROGRAM: Final = "from cornercase.cli.warm_up import compile_late_kernels;
 def warm_up() -> None:
     """Compile in advance what other commands would compile at first use.
 
-    Compiled code is stored beside the package, or in the folder NUMBA_CACHE_DIR. Run it when you build a container
-    image, which then starts at full speed. Exit code 1 if it cannot be stored.
+    Compiled code is stored beside the package, or in the folder NUMBA_CACHE_DIR. Run this command when you build a
+    container image, so that containers start at full speed. Exit code 1: compiled code cannot be stored.
 
     \b
     Example:
@@ -65,8 +65,8 @@ def warm_up() -> None:
         ):
             # Notices about the examples do not matter here.
             warnings.simplefilter("ignore")
-            for room, run in _runs_by_room(Path(folder)):
-                bar.update(count_ready_kernels()[0], room)
+            for package, run in _runs_by_room(Path(folder)):
+                bar.update(count_ready_kernels()[0], package)
                 run()
         bar.update(count_ready_kernels()[1], "", count_ready_kernels()[1])
     finally:
@@ -83,7 +83,10 @@ def warm_up() -> None:
 
 @contextmanager
 def compile_in_parallel(program: str = _LATE_PROGRAM) -> Iterator[None]:
-    """Within the block, let a second process compile later kernels once this one compiles; they share the cache."""
+    """Within the block, start a second process at the first compilation; it compiles the kernels that are needed later.
+
+    Both processes share the cache of compiled code.
+    """
     from cornercase._common.numba.interpret import compile_loops_at_once
     from cornercase._common.numba.kernel import call_on_first_compilation
     from cornercase._common.platform import count_available_cpus
@@ -111,7 +114,7 @@ def compile_in_parallel(program: str = _LATE_PROGRAM) -> Iterator[None]:
 
 
 def compile_late_kernels() -> None:
-    """Compile what the examples need after the simulations, in a process that ends with its standard input."""
+    """Compile the kernels that examples need after the simulations; the process exits when its stdin closes."""
     import numpy as np
 
     from cornercase import clustering, dtw, metrics
@@ -136,7 +139,7 @@ def _import_kernels() -> None:
 
 
 def _runs_by_room(folder: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
-    """Yield, by package, small runs that together compile all kernels."""
+    """Yield small runs, each after the name of the package that it uses; all runs together compile all kernels."""
     from cornercase import clustering, drivers, metrics, optimizers, reduction, report, simulators
     from cornercase._common.errors import InputError
     from cornercase.exploration._config import ExplorationConfig
@@ -164,7 +167,7 @@ def _runs_by_room(folder: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
         if not drivers.DRIVERS.takes_text(plugin):
             yield "drivers", partial(simulate, drivers={"Ego": plugin})
     for plugin in drivers.VEHICLES.names():
-        # Its driver is not compiled, so that the vehicle's own kernels are.
+        # This driver is not compiled, so that the vehicle's own kernels are.
         yield "drivers", partial(simulate, drivers={"Ego": f"cc-human + {plugin}"})
     yield "drivers", partial(simulate, drivers={"Ego": _looking_function()})
     yield "metrics", partial(metrics.measure, simulate(), config.ego, config.other)
