@@ -390,7 +390,7 @@ class Lost(Alone):
     [
         (Unset(), "The simulator 'unset' has the `settings` None; set a dict of plain JSON values in its constructor"),
         (Handles(), "The simulator 'handles' has the `settings` {'file': <object"),
-        (Pairs(), "Its setting 'size' is (1, 2), and [1, 2] as it is stored"),
+        (Pairs(), "Its setting 'size' is (1, 2), but [1, 2] after it was stored"),
         (Lost(), "The simulator 'lost' failed in availability: RuntimeError: no such key"),
     ],
 )

@@ -117,7 +117,7 @@ def _read_cases(scenario: Path | None, space: Path | None, ego: str) -> Any:
     return [Cases.from_logical(LogicalScenario.read(scenario, space), ego)]
 
 
-def _run(what: str, name: str, checks: Sequence[Any], as_json: bool) -> list[Any]:
+def _run(kind: str, name: str, checks: Sequence[Any], as_json: bool) -> list[Any]:
     """Run the checks of the system or simulator `name`, print each result, and return all results."""
     from cornercase.testing import run_checks
 
@@ -142,11 +142,11 @@ def _run(what: str, name: str, checks: Sequence[Any], as_json: bool) -> list[Any
                 out.print(shorten(f"       {use_option_names(sentence)}", MAX_LINE_LENGTH))
     n_good = sum(row["holds"] is True for row in rows)
     if as_json:
-        opt.print_json({what: name, "checks": rows})
+        opt.print_json({kind: name, "checks": rows})
     else:
         for cause, count in blocked.items():
             out.print(f"not run: {count} checks that need this one: {cause}")
-        out.print(f"{n_good} of {len(rows)} checks hold for the {what} {name}")
+        out.print(f"{n_good} of {len(rows)} checks hold for the {kind} {name}")
     return results
 
 

@@ -1,4 +1,4 @@
-"""Checks of your own systems under test, simulators, metrics and optimizers, to run in their test suite."""
+"""Contract checks of your own systems under test, simulators, metrics and optimizers, to run in your test suite."""
 
 import lazy_loader as lazy
 

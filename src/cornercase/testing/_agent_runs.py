@@ -1,4 +1,4 @@
-"""What must be true of a run in which an agent drives the ego, whatever it decides."""
+"""Plausibility checks of a run in which an agent (a driver of the simulator) drives the ego."""
 
 from __future__ import annotations
 
@@ -27,42 +27,42 @@ AGENT_LIMITS: Final = {
     "gap_with_collision": 0.5,
     "gap_without_collision": -0.3,
 }
-"""Limits of what an agent's run may show, in m, s, m/s and rad."""
+"""Limits for a plausible run of an agent, in m, s, m/s and rad."""
 
-# Part of a distance by which the sum of speeds may differ from it.
+# Fraction of a distance by which the integral of the speed may differ from the distance.
 _SPEED_ERROR: Final = 0.05
 _EGO: Final = "Ego"
 
 
 @dataclass(frozen=True)
 class AgentMotion:
-    """How an agent drove the ego, up to the first contact: in m, m/s and rad; for others nobody says what is right."""
+    """Motion of an ego that an agent drives, up to the first contact, in m, m/s and rad."""
 
     first_speed: float
     last_speed: float
-    speed_change: float  # of the largest and the smallest speed
+    speed_change: float  # largest minus smallest speed
     distance: float  # along the lane
-    back: float  # the most that it went backwards
-    offset: float  # the largest one from the middle of the first lane
-    heading: float  # the largest angle to the lane
-    speed_sum: float  # the difference of the distance and the sum of speeds
-    gap: float | None  # the smallest one to the van on its way, below 0 if boxes overlap; None without a van
-    collision: float | None  # s, of the first one of the ego
+    back: float  # largest distance backwards
+    offset: float  # largest distance from the middle of the first lane
+    heading: float  # largest angle to the lane
+    speed_sum: float  # difference between the distance and the integral of the speed
+    gap: float | None  # smallest gap to the van ahead at any time, below 0 if boxes overlap; None without a van
+    collision: float | None  # s, time of the ego's first collision; None without a collision
 
 
 def measure_agent_motion(recording: Recording) -> AgentMotion:
-    """Return how the ego was driven in one of the scenarios for agents, in which it goes along the x axis."""
+    """Measure the motion of the ego in a scenario for agents, in which the ego drives along the x axis."""
     e = recording.entity_index(_EGO)
     centers_x, centers_y = box_centers(recording)
     gaps = _gaps(recording, centers_x, centers_y)
     times = [collision.time for collision in recording.collisions if _EGO in collision.entities]
     touching = np.zeros(len(recording.time), bool) if gaps is None else gaps <= 0.0
     touching |= recording.time >= min(times, default=np.inf)
-    # Afterwards the vehicle goes where it is pushed.
+    # After a contact the vehicle goes where it is pushed.
     count = max(int(np.argmax(touching)) if touching.any() else len(recording.time), 2)
     x, y = centers_x[e, :count], centers_y[e, :count]
     speed, heading = recording.speed[e, :count], wrap_angle(recording.heading[e, :count])
-    # Along the lane, as some change lanes at once.
+    # Along the lane, since some agents change lanes at once.
     forward = speed * np.cos(heading)
     distance = float(x[-1] - x[0])
     sum_of_speeds = float((0.5 * (forward[1:] + forward[:-1]) * np.diff(recording.time[:count])).sum())
@@ -81,7 +81,10 @@ def measure_agent_motion(recording: Recording) -> AgentMotion:
 
 
 def describe_agent_problems(motion: AgentMotion, end: float, duration: float) -> str:
-    """Return what cannot be true of any agent's run, as a sentence; empty if nothing is wrong."""
+    """Return a sentence that lists what is implausible in an agent's run; empty if nothing is.
+
+    `end` is the last instant of the recording, and `duration` the duration of the scenario, both in s.
+    """
     clauses = list(_iter_problems(motion, end, duration))
     return f"The ego {'; it '.join(clauses)}." if clauses else ""
 
@@ -92,14 +95,14 @@ def _iter_problems(motion: AgentMotion, end: float, duration: float) -> Iterator
         yield f"is recorded up to {end:.2f} s instead of {duration:g} s"
     if abs(motion.first_speed - AGENT_SPEED) > limits["first_speed"]:
         yield f"begins at {motion.first_speed:.2f} m/s instead of the {AGENT_SPEED:g} m/s of the storyboard"
-    # Where the lane is free, some keep the speed of the storyboard.
+    # On a free lane, some agents keep the speed of the storyboard.
     if motion.gap is not None and motion.speed_change < limits["speed_change"] and motion.offset < limits["offset"]:
         yield "neither changes its speed nor its lane before the van, as if nobody drove it"
     if motion.distance < limits["distance"]:
         yield f"goes {motion.distance:.1f} m along its lane (at least {limits['distance']:g})"
     if motion.back > limits["back"]:
         yield f"goes back by {motion.back:.1f} m"
-    # It may pass the van on the next lane.
+    # The ego may pass the van on the next lane.
     largest_offset = limits["offset" if motion.gap is None else "offset_at_van"]
     if motion.offset > largest_offset:
         yield f"is {motion.offset:.2f} m beside the middle of its lane (at most {largest_offset:g})"
@@ -119,7 +122,7 @@ def _iter_problems(motion: AgentMotion, end: float, duration: float) -> Iterator
 def _gaps(recording: Recording, centers_x: FloatArray, centers_y: FloatArray) -> FloatArray | None:
     """Return the gap in m between the ego's front and the van's rear at each instant; None without a van.
 
-    It is infinite while the ego is beside or beyond the van.
+    The gap is infinite while the ego is beside or beyond the van.
     """
     others = [k for k, name in enumerate(recording.names) if name != _EGO]
     if not others:

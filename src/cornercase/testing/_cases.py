@@ -1,4 +1,4 @@
-"""Scenarios that checks run: some concrete ones of a logical scenario."""
+"""Concrete scenarios that contract checks run, chosen from a logical scenario."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ N_CASES: Final = 4
 """Number of concrete scenarios of each logical scenario."""
 
 N_UNDRIVEN_CASES: Final = 2
-"""The same for simulators that need long for each."""
+"""Number of concrete scenarios of each logical scenario, for slow simulators."""
 
 
 @dataclass(frozen=True)
 class Cases:
-    """Concrete scenarios of one file.
+    """Concrete scenarios of one scenario file, to run in contract checks.
 
     Attributes
     ----------
     concretes : tuple of ConcreteScenario
-        In the order in which they are run.
+        The scenarios, in the order in which they are run.
     entity : str
-        The one that a system under test drives.
+        Entity that a system under test drives.
 
     Examples
     --------
@@ -54,14 +54,14 @@ class Cases:
 
     @classmethod
     def from_logical(cls, logical: LogicalScenario, entity: str, count: int = N_CASES) -> Cases:
-        """Return well spread concrete scenarios.
+        """Choose concrete scenarios that are spread evenly over the parameter space.
 
         Parameters
         ----------
         logical : LogicalScenario
-            Without a space, there is one scenario, with the values of the file.
+            Without a parameter space, there is one concrete scenario, with the values in the file.
         entity : str
-            The one that a system under test drives.
+            Entity that a system under test drives.
         count : int, default 4
             Number of scenarios.
 
@@ -89,18 +89,18 @@ class Cases:
         Parameters
         ----------
         simulator : str or Simulator, default "builtin"
-            An object runs in this process, unless there are options.
+            Name or object. An object runs in this process, unless `options` are given.
         rows : sequence of int, optional
-            Which scenarios, in this order; by default all.
+            Indices of the scenarios to run, in this order; by default all scenarios.
         workers : int, default 1
             Number of worker processes.
         **options
-            Of the simulator.
+            Options of the simulator.
 
         Returns
         -------
         list of Recording
-            In order.
+            Recording of each scenario, in the order of `rows`.
 
         Raises
         ------
@@ -121,23 +121,23 @@ class Cases:
         workers: int = 1,
         **options: Any,
     ) -> list[Recording | SimulationError]:
-        """Run all scenarios, or some of them, also those that fail.
+        """Run all scenarios, or some of them; return an error for each scenario that fails.
 
         Parameters
         ----------
         simulator : str or Simulator, default "builtin"
-            An object runs in this process, unless there are options.
+            Name or object. An object runs in this process, unless `options` are given.
         rows : sequence of int, optional
-            Which scenarios, in this order; by default all.
+            Indices of the scenarios to run, in this order; by default all scenarios.
         workers : int, default 1
             Number of worker processes.
         **options
-            Of the simulator.
+            Options of the simulator.
 
         Returns
         -------
         list of Recording or SimulationError
-            In order.
+            Recording or error of each scenario, in the order of `rows`.
         """
         return list(self.iter_outcomes(simulator, rows, workers=workers, **options))
 
@@ -149,23 +149,23 @@ class Cases:
         workers: int = 1,
         **options: Any,
     ) -> Iterator[Recording | SimulationError]:
-        """Run all scenarios, or some of them, also those that fail.
+        """Run all scenarios, or some of them; yield an error for each scenario that fails.
 
         Parameters
         ----------
         simulator : str or Simulator, default "builtin"
-            An object runs in this process, unless there are options.
+            Name or object. An object runs in this process, unless `options` are given.
         rows : sequence of int, optional
-            Which scenarios, in this order; by default all.
+            Indices of the scenarios to run, in this order; by default all scenarios.
         workers : int, default 1
             Number of worker processes.
         **options
-            Of the simulator.
+            Options of the simulator.
 
         Yields
         ------
         Recording or SimulationError
-            In order, each as soon as it is there.
+            Recording or error of each scenario, in the order of `rows`, as soon as the scenario has ended.
         """
         concretes = self.concretes if rows is None else [self.concretes[row] for row in rows]
         # An object runs itself, in this process.
@@ -182,7 +182,7 @@ class Cases:
 
 
 def default_cases() -> list[Cases]:
-    """Return scenarios that come with cornercase: a crossing pedestrian, a leader that brakes, a car that cuts in."""
+    """Return scenarios that come with cornercase: a crossing pedestrian, and a leader that brakes."""
     folder = examples_folder()
     x_intersection = folder / "x_intersection" / "x_intersection.xosc"
     return [
@@ -192,15 +192,16 @@ def default_cases() -> list[Cases]:
 
 
 def storyless_cases(folder: Path) -> list[Cases]:
-    """Return scenarios for simulators in which something else than the storyboard says what happens."""
+    """Return two scenarios without events, for simulators that do not run the storyboard; write files to a folder."""
     names = ("constant speed", "two that pass each other")
     return [Cases((concrete,), "Ego") for concrete in write_small_scenarios(folder, *names).values()]
 
 
 def undriven_cases(folder: Path) -> list[Cases]:
-    """Return two scenarios each of the default ones, in which the storyboard alone moves all; written to a folder.
+    """Return the default scenarios without drivers, two of each file; write the changed files to a folder.
 
-    For simulators that need long for each, and whose drivers differ from run to run.
+    The storyboard alone moves all entities. These scenarios are for simulators that are slow, and whose own drivers
+    differ from run to run.
     """
     x_intersection = examples_folder() / "x_intersection" / "x_intersection.xosc"
     deceleration = examples_folder() / "r157" / "deceleration.xosc"
@@ -214,12 +215,12 @@ def undriven_cases(folder: Path) -> list[Cases]:
 
 
 def unlimited_cases(folder: Path) -> Cases:
-    """Return scenarios in which a car cuts in, and vehicles do whatever they are told; written to a folder."""
+    """Return scenarios in which a car cuts in, without speed and acceleration limits; write the file to a folder."""
     return _read(_write_without(examples_folder() / "r157" / "cut_in.xosc", folder, "Performance"), ["gap=10:40"])
 
 
 def _write_without(original: Path, folder: Path, tag: str) -> Path:
-    """Write a scenario without the elements of a name, and its road, to a folder; return its path."""
+    """Copy a scenario file without all XML elements `tag`, and its road, to a folder; return the path of the copy."""
     tree = etree.parse(original)
     for element in [*tree.iter(tag)]:
         parent = element.getparent()

@@ -1,4 +1,4 @@
-"""A check: what has to hold, as a sentence and a function."""
+"""Contract checks, each with a name and a function, and their results."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from cornercase._common.process.signals import collect_interrupts, count_request
 
 @dataclass(frozen=True)
 class ContractCheck:
-    """One thing that has to hold.
+    """Check of one property that a system under test, simulator, metric or optimizer must have.
 
     Attributes
     ----------
     name : str
-        What has to hold, in words: ``"repeats itself"``.
+        The property in words, such as ``"repeats itself"``.
     run : callable
-        Raises `AssertionError` with a sentence if it does not hold.
+        Raises `AssertionError` with a sentence if the property does not hold.
     needs : str, default ""
-        Name of an earlier check without which this one says nothing; empty if there is none.
+        Name of an earlier check; if the earlier check fails, this check is not run. Empty if there is none.
 
     Examples
     --------
@@ -39,25 +39,25 @@ class ContractCheck:
 
 
 class NotTriedError(Exception):
-    """A check cannot be tried; the message says why, as a sentence."""
+    """Error if a check cannot be tried here; the message says why, as a sentence."""
 
 
 @dataclass(frozen=True)
 class CheckResult:
-    """What came of a check.
+    """Result of a contract check.
 
     Attributes
     ----------
     name : str
-        As in `ContractCheck`.
+        The property that was checked, as in `ContractCheck`.
     problem : str
-        Why it does not hold, as a sentence; empty if it holds.
+        Why the property does not hold, as a sentence; empty if no problem was found.
     seconds : float
-        How long it took.
+        Duration of the check.
     blocked_by : str, default ""
-        Name of the check that failed and that this one needs, so that it was not run; empty if it was run.
+        Name of the failed check that prevented this check; empty if this check was run.
     not_tried : str, default ""
-        Why it could not be tried, as a sentence; empty if it was tried.
+        Why the check could not be tried, as a sentence; empty if the check was tried.
 
     Examples
     --------
@@ -75,7 +75,7 @@ class CheckResult:
 
 
 def run_checks(checks: Iterable[ContractCheck]) -> Iterator[CheckResult]:
-    """Run checks one after the other, also after one that fails, except for those that need it.
+    """Run checks one after the other; checks that need a failed check are not run.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ def run_checks(checks: Iterable[ContractCheck]) -> Iterator[CheckResult]:
     Yields
     ------
     CheckResult
-        In order.
+        Result of each check, in order.
 
     Examples
     --------
@@ -94,7 +94,7 @@ def run_checks(checks: Iterable[ContractCheck]) -> Iterator[CheckResult]:
     proposes points of the unit cube – ok
     proposes the same for the same seed – ok
     """
-    # By name of a check that failed or was not run: the one that failed.
+    # Name of the failed check, by name of each check that failed or was not run.
     causes = dict[str, str]()
     with collect_interrupts() as raise_interrupt:
         for check in checks:

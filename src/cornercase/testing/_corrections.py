@@ -17,21 +17,21 @@ _FOOT: Final = 0.3048
 _MAX_SHIFT: Final = 4
 # Relative drifts of a clock that are tried.
 _DRIFTS: Final = [sign * 0.001 * k for k in range(1, 101) for sign in (1, -1)]
-# m by which the same position may differ in files of single precision.
+# m by which equal positions may differ in files of single precision.
 _SAME_POSITION: Final = 1e-3
-# m and m/s below which a difference is none.
+# m and m/s; smaller differences do not count.
 _SMALL_OFFSET, _SMALL_CHANGE = 0.1, 0.05
 _ARRAYS: Final = ("x", "y", "heading", "speed", "acceleration")
 
 
 def box_centers(recording: Recording) -> tuple[FloatArray, FloatArray]:
-    """Return x and y in m of the centers of boxes, shape (N, T) each."""
+    """Return x and y in m of the centers of bounding boxes, shape (N, T) each: N entities, T instants."""
     ahead = recording.center_x[:, None]
     return recording.x + ahead * np.cos(recording.heading), recording.y + ahead * np.sin(recording.heading)
 
 
 def iter_corrections(own: Recording, expected: Recording) -> Iterator[tuple[str, Recording]]:
-    """Yield clauses that say what may be wrong, and the recording as it would be without that."""
+    """Yield possible mistakes in a recording, as clauses, each with the recording after correction of the mistake."""
     if own.collisions != expected.collisions:
         verb = "lost" if len(own.collisions) < len(expected.collisions) else "invented or at another time"
         yield f"collisions are {verb}", replace(own, collisions=expected.collisions)
@@ -42,7 +42,7 @@ def iter_corrections(own: Recording, expected: Recording) -> Iterator[tuple[str,
     yield "positions are in feet", replace(own, x=_FOOT * own.x, y=_FOOT * own.y)
     in_metres = replace(own, **{name: _FOOT * getattr(own, name) for name in ("x", "y", "speed", "acceleration")})
     yield "lengths are in feet", in_metres
-    # Boxes may have been added in metres.
+    # Positions may be in feet, but the offsets to the boxes in metres.
     for _, moved in _iter_point_shifts(in_metres, expected):
         yield "lengths are in feet", moved
     yield "speeds are in km/h", replace(own, speed=own.speed / 3.6)
@@ -62,7 +62,7 @@ def _with_drift(own: Recording, drift: float) -> Recording:
 
 
 def _largest_distance(own: Recording, expected: Recording, drift: float) -> float:
-    """Return the largest distance in m between entities if the clock has drifted."""
+    """Return the largest distance in m of an entity from its expected position, after correction of a clock drift."""
     time = own.time / (1.0 + drift)
     at = expected.time[expected.time <= time[-1]]
     rows = [own.entity_index(name) for name in expected.names]
@@ -74,7 +74,7 @@ def _largest_distance(own: Recording, expected: Recording, drift: float) -> floa
 
 
 def _without_repeated_end(own: Recording) -> Recording:
-    """Return the recording without last frames in which nobody moves, though some did before."""
+    """Return the recording without the last frames, in which no entity moves any more."""
     moves = np.flatnonzero((np.abs(np.diff(own.x)) + np.abs(np.diff(own.y)) > _SAME_POSITION).any(axis=0))
     count = int(moves[-1]) + 2 if moves.size else len(own.time)
     return replace(own, time=own.time[:count], **{name: getattr(own, name)[:, :count] for name in _ARRAYS})
@@ -89,7 +89,7 @@ def _iter_time_shifts(own: Recording) -> Iterator[tuple[str, Recording]]:
 
 
 def _iter_point_shifts(own: Recording, expected: Recording) -> Iterator[tuple[str, Recording]]:
-    """Yield the recording about another point of each entity, which is estimated."""
+    """Yield the recording with each entity shifted along its heading, by the estimated error of its reference point."""
     rows = [own.entity_index(name) for name in expected.names]
     shifts, offsets = np.zeros(len(own.names)), np.zeros(len(own.names))
     (x, y), (expected_x, expected_y) = box_centers(own), box_centers(expected)
@@ -113,7 +113,7 @@ def _iter_point_shifts(own: Recording, expected: Recording) -> Iterator[tuple[st
 
 
 def _iter_constant_speeds(own: Recording, expected: Recording) -> Iterator[tuple[str, Recording]]:
-    """Yield the recording with the expected motion of entities that keep their first speed."""
+    """Yield, for each entity that wrongly keeps its first speed, the recording with its expected motion."""
     for name in expected.names:
         row, e = own.entity_index(name), expected.entity_index(name)
         changes = np.ptp(expected.speed[e])

@@ -1,4 +1,4 @@
-"""Let a simulator crash on purpose while it runs scenarios."""
+"""Crash of a simulator on purpose while it runs scenarios."""
 
 from __future__ import annotations
 
@@ -22,33 +22,33 @@ from cornercase.simulators._create import create_simulator
 from cornercase.simulators._results import Outcome, run_scenarios
 from cornercase.testing._contract_check import NotTriedError
 
-# s that scenarios should run, so that there is time for a crash, and how many there are at least and at most.
+# Total duration in s of the runs, which leaves time for a crash, and smallest and largest number of runs.
 _RUN_TIME, _MIN_SCENARIOS, _MAX_SCENARIOS = 2.0, 3, 200
 # The crash is in the middle of the second scenario.
 _CRASH_AFTER: Final = 1.5
-# s for a process to be gone.
+# s after which a killed process must have ended.
 _DEATH_TIMEOUT: Final = 5.0
 
 
 @dataclass(frozen=True)
 class CrashRun:
-    """What came of scenarios while the simulator was killed."""
+    """Results of runs of the same scenario, while the simulator was killed once."""
 
-    killed: str  # the command of what was killed
-    is_server: bool  # whether that was a server, and not the worker process that runs scenarios
-    n_before: int  # scenarios that had ended before
-    seconds: tuple[float, ...]  # of each scenario
-    first: Recording  # of the scenario before the crash
-    outcomes: tuple[Outcome, ...]  # of the same scenario again and again
+    killed: str  # command line of the process that was killed
+    is_server: bool  # True if a server was killed, False if the worker process that runs scenarios
+    n_before: int  # number of runs that had ended before the crash
+    seconds: tuple[float, ...]  # duration of each run
+    first: Recording  # recording of the scenario before the crash
+    outcomes: tuple[Outcome, ...]  # recording or error of each run
 
     @property
     def n_lost(self) -> int:
-        """Number of scenarios that failed."""
+        """Number of runs that failed."""
         return sum(isinstance(outcome, SimulationError) for outcome in self.outcomes)
 
     @property
     def spread(self) -> float | None:
-        """Largest distance in m from the recording before the crash; None if that cannot be told."""
+        """Largest distance in m of positions from the recording before the crash; None if a run cannot be compared."""
         largest = 0.0
         for outcome in self.outcomes:
             distance = None if isinstance(outcome, SimulationError) else max_position_difference(self.first, outcome)
@@ -59,13 +59,13 @@ class CrashRun:
 
 
 def crash_during_runs(simulator: str, concrete: ConcreteScenario, ego: str) -> CrashRun:
-    """Run a scenario, then again and again while the simulator is killed once.
+    """Run a scenario again and again, and kill the simulator once meanwhile.
 
-    If the simulator is a server that its worker process has started, the server is killed, else the worker process.
-    Raises `NotTriedError` if the server was started by somebody else, or all scenarios ended before the crash.
+    If the worker process has started a server, the server is killed, otherwise the worker process itself. Raises
+    `NotTriedError` if cornercase has not started the server, or if all runs ended before the crash.
     """
     if "start" in declared_options(SIMULATORS.get_class(simulator)) and "start=" not in simulator:
-        raise NotTriedError("cornercase has not started its server; let it do so by the option start.")
+        raise NotTriedError("cornercase has not started the simulator's server; let it start one by the option start.")
     own = psutil.Process()
     others = {process.pid for process in own.children(recursive=True)}
     with create_simulator(simulator, {}, ego=ego, workers=1) as started:
@@ -96,13 +96,13 @@ def crash_during_runs(simulator: str, concrete: ConcreteScenario, ego: str) -> C
             killer.cancel()
             killer.join()
         if not n_before or n_before[0] == count:
-            raise NotTriedError("All scenarios had ended before it could be killed; the next time it may be.")
+            raise NotTriedError("All scenarios had ended before the simulator could be killed; run the check again.")
         assert _is_gone(victim), "It goes on running after it was killed."
     return CrashRun(command, is_server, n_before[0], tuple(durations), first, tuple(outcomes))
 
 
 def _is_gone(process: psutil.Process) -> bool:
-    """Return whether a process has ended, also if its parent has not asked for its exit code."""
+    """Return whether a process has ended, also if the process is still listed as a zombie."""
     with suppress(psutil.Error):
         try:
             process.wait(_DEATH_TIMEOUT)
@@ -112,7 +112,10 @@ def _is_gone(process: psutil.Process) -> bool:
 
 
 def _find_server(own: psutil.Process, others: set[int]) -> tuple[psutil.Process, bool]:
-    """Return the oldest process that a worker process of this one has started, else the worker process, and which."""
+    """Return the server that a worker process has started, or else the worker process, and True for a server.
+
+    `others` are ids of processes that are no workers. The server is the oldest process that a worker has started.
+    """
     workers = [process for process in own.children() if process.pid not in others and _is_worker(process)]
     assert workers, "It runs in no process of its own."
     servers = [child for worker in workers for child in worker.children()]
@@ -120,7 +123,7 @@ def _find_server(own: psutil.Process, others: set[int]) -> tuple[psutil.Process,
 
 
 def _is_worker(process: psutil.Process) -> bool:
-    """Return whether it is a process of `multiprocessing` that runs scenarios."""
+    """Return whether a process was started by `multiprocessing` to run scenarios."""
     with suppress(psutil.Error):
         return any("spawn_main" in word for word in process.cmdline())
     return False

@@ -1,4 +1,4 @@
-"""How far a simulator is from the builtin one in small scenarios."""
+"""Deviations of a simulator from the builtin simulator in small scenarios."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ TOLERANCES: Final = {
 }
 """Largest deviations that count as agreement, as in `Deviations`."""
 
-# s by which the same instant may differ.
+# s by which equal instants may differ.
 _SAME_TIME: Final = 1e-6
 UNITS: Final = {
     "position": "m",
@@ -53,24 +53,24 @@ UNITS: Final = {
 
 @dataclass(frozen=True)
 class Deviations:
-    """The largest deviations of an entity from the builtin simulator; infinite where one cannot be told."""
+    """Largest deviations of any entity from the builtin simulator; a deviation that is not known is infinite."""
 
     position: float  # m, of the centre of the bounding box at an instant
     heading: float  # rad, at an instant
     speed: float  # m/s, on average over time, as speeds jump where an action begins
     acceleration: float  # m/s², the median over time
-    collision: float  # s, of when two entities collide first; infinite if they collide in one recording only
+    collision: float  # s, of the first collision of two entities; infinite if they collide in one recording only
     box: float  # m, of length and width of its bounding box; 0 if the simulator has its own
     end: float  # s, of the end of the recording
 
     @property
     def size(self) -> float:
-        """The largest deviation but that of the end, which is part of some corrections, in parts of its tolerance."""
+        """Largest ratio of a deviation to its tolerance, without the end, which some corrections change."""
         return max(float(value) / TOLERANCES[name] for name, value in asdict(self).items() if name != "end")
 
     @property
     def problem(self) -> str:
-        """What is beyond its tolerance, as a sentence; empty if nothing is."""
+        """Sentence that lists the deviations beyond their tolerances; empty if there are none."""
         beyond = [
             f"{name} by {'any' if value == np.inf else f'{value:.3g}'} {UNITS[name]} (at most {TOLERANCES[name]:g})"
             for name, value in asdict(self).items()
@@ -81,22 +81,22 @@ class Deviations:
 
 @dataclass(frozen=True)
 class SmallRun:
-    """Two runs of a small scenario in a simulator, beside one in the builtin simulator."""
+    """Two runs of a small scenario in a simulator, compared with one run in the builtin simulator."""
 
     name: str
-    problem: str  # why they do not agree, or what cannot be, as a sentence; empty if all is well
+    problem: str  # why both simulators do not agree, or what is implausible, as a sentence; empty if nothing is wrong
     deviations: Deviations | None  # None if there is no recording that can be compared
-    seconds: float  # of the first run, with the start of the simulator
-    seconds_again: float  # of the second one
-    spread: float | None  # m between positions in both runs; None if that cannot be told
-    own: Recording | None
-    expected: Recording | None  # None if an agent of the simulator drives, which the builtin one does not have
-    agent: str = ""  # who drives the ego; empty for the storyboard
+    seconds: float  # duration of the first run, with the start of the simulator
+    seconds_again: float  # duration of the second run
+    spread: float | None  # largest distance in m between positions in both runs; None if not known
+    own: Recording | None  # of the first run; None if it failed
+    expected: Recording | None  # of the builtin simulator; None if an agent of the other simulator drives
+    agent: str = ""  # what drives the ego; empty for the storyboard
     motion: AgentMotion | None = None  # of the ego that an agent drives
 
 
 class _Runs(NamedTuple):
-    """Two runs of the same scenario in a simulator, and their seconds."""
+    """Two runs of the same scenario in a simulator, and the duration of each in s."""
 
     own: Recording | SimulationError
     again: Recording | SimulationError
@@ -105,7 +105,7 @@ class _Runs(NamedTuple):
 
     @property
     def spread(self) -> float | None:
-        """Largest distance in m between positions; None if that cannot be told."""
+        """Largest distance in m between positions in both runs; None if the runs cannot be compared."""
         if isinstance(self.own, SimulationError) or isinstance(self.again, SimulationError):
             return None
         return max_position_difference(self.own, self.again)
@@ -119,7 +119,7 @@ def run_small_scenario(
     agent: str = "",
     drivers: Mapping[str, DriverLike] | None = None,
 ) -> SmallRun:
-    """Run a small scenario twice in a simulator and once in the builtin one, with the same drivers in both."""
+    """Run a small scenario twice in a simulator and once in the builtin simulator, with the same drivers."""
     runs = _run_twice(simulator, concrete, {} if drivers is None else {"drivers": drivers})
     own = runs.own
     has_own_boxes = SIMULATORS.get_class(simulator).has_own_boxes
@@ -142,7 +142,7 @@ def run_small_scenario(
 def run_with_agent(
     simulator: str | Simulator, name: str, concrete: ConcreteScenario, agent: str, options: Mapping[str, object]
 ) -> SmallRun:
-    """Run a small scenario twice with an agent of the simulator's own, whose decisions nobody knows."""
+    """Run a small scenario twice with an agent of the simulator; check only whether the runs are plausible."""
     runs = _run_twice(simulator, concrete, options)
     own = runs.own
     run = partial(
@@ -170,7 +170,7 @@ def _run_twice(simulator: str | Simulator, concrete: ConcreteScenario, options: 
 
 
 def _describe_missing(names: set[str], own: Recording) -> str:
-    """Return which entities are in one of the recordings only, as a sentence; empty if there are none."""
+    """Return a sentence on entities that are only in `names` or only in a recording; empty if there are none."""
     different = sorted(names ^ {*own.names})
     return f"It has other entities: {', '.join(different)}." if different else ""
 
@@ -178,7 +178,7 @@ def _describe_missing(names: set[str], own: Recording) -> str:
 def _run_builtin(
     concrete: ConcreteScenario, boxes: Recording | None, drivers: Mapping[str, DriverLike] | None
 ) -> Recording:
-    """Run a scenario in the builtin simulator, with the boxes of a recording if there is one."""
+    """Run a scenario in the builtin simulator, with box sizes from the recording `boxes` if given."""
     with TemporaryDirectory() as name:
         if boxes is not None:
             root = etree.parse(concrete.path).getroot()
@@ -200,7 +200,10 @@ def _run_builtin(
 
 
 def diagnose(own: Recording, expected: Recording) -> str:
-    """Return what is wrong with a recording, as a clause: what agrees best if it is undone; empty if nothing does."""
+    """Return the mistake, as a clause, whose correction makes a recording agree best with the expected recording.
+
+    Empty if no correction makes the recordings agree.
+    """
     best, cause = np.inf, ""
     for clause, corrected in iter_corrections(own, expected):
         deviations = measure_deviations(corrected, expected)
@@ -210,7 +213,7 @@ def diagnose(own: Recording, expected: Recording) -> str:
 
 
 def measure_deviations(own: Recording, expected: Recording) -> Deviations:
-    """Return how far a recording is from another one of the same entities, at the instants of the latter."""
+    """Measure deviations of a recording from an expected recording of the same entities, at the expected instants."""
     end = min(own.time[-1], expected.time[-1])
     # Instants may differ by rounding.
     at = expected.time[(expected.time <= end + _SAME_TIME) & (expected.time >= own.time[0] - _SAME_TIME)]

@@ -1,4 +1,4 @@
-"""A driving function as users write them, for checks of simulators."""
+"""Example of a user's driving function, for checks of simulators."""
 
 from __future__ import annotations
 
@@ -6,19 +6,19 @@ from typing import Final
 
 from cornercase.drivers import Control, SystemUnderTest, View
 
-# m/s, m and s: the speed that it approaches, and the gap that it keeps behind a leader.
+# m/s, m and s: speed on a free road, and gap to a leader.
 _TARGET_SPEED, _STANDING_GAP, _TIME_GAP = 10.0, 3.0, 1.0
 # m/s²
 _ACCELERATION, _DECELERATION, _MAX_DECELERATION = 1.5, 2.0, 6.0
-# m, below which a gap counts as this.
+# m; smaller gaps count as this gap.
 _SMALLEST_GAP: Final = 0.1
 
 
 class CarFollowing(SystemUnderTest):
-    """Approaches 10 m/s, and stops behind who stands ahead: the intelligent driver model."""
+    """Intelligent driver model that approaches 10 m/s, and stops behind a standing leader."""
 
     def step(self, view: View, dt: float) -> Control:
-        """Return the acceleration."""
+        """Return the acceleration in m/s² for a view of the traffic."""
         speed, leader = view.ego.speed, view.leader
         effort = 1.0 - (max(speed, 0.0) / _TARGET_SPEED) ** 4
         if leader is not None:

@@ -1,4 +1,4 @@
-"""All checks of an object, to run at once or as tests of pytest."""
+"""Functions that list all contract checks of an object, run them, or make pytest tests of them."""
 
 from __future__ import annotations
 
@@ -26,11 +26,12 @@ _CHECKS: tuple[tuple[tuple[type[Any], ...], Callable[[Any], list[ContractCheck]]
 
 
 def list_checks(candidate: SystemUnderTest | Driver | Simulator | Metric | Optimizer) -> list[ContractCheck]:
-    """Return the checks of an object.
+    """Return the contract checks of an object, chosen by its base class.
 
     Parameters
     ----------
     candidate : SystemUnderTest, Driver, Simulator, Metric or Optimizer
+        Object to check.
 
     Returns
     -------
@@ -39,7 +40,7 @@ def list_checks(candidate: SystemUnderTest | Driver | Simulator | Metric | Optim
     Raises
     ------
     InputError
-        It is something else.
+        `candidate` is something else.
 
     Examples
     --------
@@ -57,18 +58,19 @@ def list_checks(candidate: SystemUnderTest | Driver | Simulator | Metric | Optim
 
 
 def check(candidate: SystemUnderTest | Driver | Simulator | Metric | Optimizer) -> None:
-    """Run all checks of an object.
+    """Run all contract checks of an object.
 
     Parameters
     ----------
     candidate : SystemUnderTest, Driver, Simulator, Metric or Optimizer
+        Object to check.
 
     Raises
     ------
     AssertionError
-        With one line for each check that was run and does not hold.
+        A check failed. The message has a line for each failed check.
     InputError
-        It is something else.
+        `candidate` is something else.
 
     Examples
     --------
@@ -84,7 +86,7 @@ def check(candidate: SystemUnderTest | Driver | Simulator | Metric | Optimizer) 
 def parametrize_with_checks(
     candidates: Iterable[SystemUnderTest | Driver | Simulator | Metric | Optimizer],
 ) -> Callable[[Any], Any]:
-    """Make one test of pytest for each check of each object.
+    """Make one pytest test for each contract check of each object.
 
     Parameters
     ----------

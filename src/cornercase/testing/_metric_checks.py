@@ -1,4 +1,4 @@
-"""Checks of criticality metrics."""
+"""Contract checks of criticality metrics."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from cornercase.recordings._compare import are_bitwise_equal
 from cornercase.testing._cases import default_cases
 from cornercase.testing._contract_check import ContractCheck
 
-# Relative difference that comes from rounding, of positions far from the origin.
+# Relative difference that may come from rounding of positions far from the origin.
 _ROUNDING: Final = 1e-5
 _SHIFT: Final = (350.0, -120.0)
 _TURN: Final = 0.7
@@ -29,14 +29,14 @@ _FAR: Final = 2000.0
 def metric_checks(
     metric: str | Metric, recordings: Sequence[tuple[Recording, str, str]] | None = None
 ) -> list[ContractCheck]:
-    """Return the checks of a criticality metric.
+    """Return the contract checks of a criticality metric.
 
     Parameters
     ----------
     metric : str or Metric
-        Its name, with options after a colon, or an object.
+        Name, with options after a colon, or object.
     recordings : sequence of tuple, optional
-        Recordings, each with the names of the ego and of the other entity; by default some that come with cornercase.
+        Recordings, each with the names of the ego and of the other entity; by default recordings of example scenarios.
 
     Returns
     -------
@@ -81,7 +81,7 @@ def _declares(metric: Metric, _: Any) -> None:
     assert isinstance(metric.unit, str), f"Its unit is {metric.unit!r}, which is no text."
     assert metric.unit, "It has no unit; '1' stands for none."
     assert isinstance(metric.lower_is_critical, bool), "`lower_is_critical` is neither True nor False."
-    assert np.isfinite(metric.cap), f"Its `cap` is {metric.cap}; it replaces infinite values, so it is a number."
+    assert np.isfinite(metric.cap), f"Its `cap` is {metric.cap}; it replaces infinite values, so give a number."
     if metric.bound is not None:
         side = "below" if metric.lower_is_critical else "above"
         assert (metric.bound < metric.cap) == metric.lower_is_critical, f"Its `bound` is not {side} its `cap`."
@@ -115,7 +115,7 @@ def _repeats(metric: Metric, recordings: Any) -> None:
     for recording, ego, other in recordings:
         first, second = (metric.course(recording, ego, other) for _ in range(2))
         assert np.array_equal(first, second, equal_nan=True), (
-            "It measures the same recording otherwise the second time."
+            "It gives another course if it measures the same recording again."
         )
 
 
@@ -147,7 +147,7 @@ def _ignores_order(metric: Metric, recordings: Any) -> None:
         score, turned_score = (metric.score(metric.course(r, ego, other)) for r in (recording, turned))
         # Sums in another order may differ in their last digits.
         assert np.isclose(score, turned_score, rtol=1e-12, atol=1e-12), (
-            "In another order of the entities it scores otherwise."
+            "If the entities of a recording are in another order, its score differs."
         )
 
 
@@ -179,7 +179,7 @@ def _names_unknown(metric: Metric, recordings: Any) -> None:
     recording, ego, other = recordings[0]
     expected, message = metric.course(recording, ego, other), ""
     try:
-        # A metric of the ego alone does not look at the other.
+        # A metric of the ego alone does not need the other entity.
         is_fine = np.array_equal(metric.course(recording, ego, "nobody at all"), expected, equal_nan=True)
     except InputError as error:
         message, is_fine = f": {error}", "nobody at all" in str(error)
@@ -190,4 +190,4 @@ def _is_picklable(metric: Metric, recordings: Any) -> None:
     recording, ego, other = recordings[0]
     sent = cloudpickle.loads(cloudpickle.dumps(metric))
     first, second = (m.score(m.course(recording, ego, other)) for m in (metric, sent))
-    assert first == second, "In another process it would score otherwise."
+    assert first == second, "A copy of it that was pickled, as for another process, gives another score."

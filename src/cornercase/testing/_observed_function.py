@@ -1,4 +1,4 @@
-"""A driver that notes what another one decides."""
+"""Driver that records the strongest decisions of another driver."""
 
 from __future__ import annotations
 
@@ -11,20 +11,23 @@ from cornercase.drivers import Controls, Driver, DrivingFunction, Situation, Sta
 
 
 class Request(NamedTuple):
-    """A decision, and its time in s."""
+    """Acceleration or steering angle that a driver requests, and the time of the request in s."""
 
     value: float
     time: float
 
     def strongest(self, values: FloatArray, rows: BoolArray, time: float) -> Request:
-        """Return this one, or the strongest of a later step."""
+        """Return the stronger of this request and the strongest of `values` in the scenarios `rows` at a later time."""
         given = values[rows & np.isfinite(values)]
         value = float(given[np.abs(given).argmax()]) if len(given) else 0.0
         return Request(value, time) if abs(value) > abs(self.value) else self
 
 
 class ObservedFunction(DrivingFunction):
-    """Decides what a driver decides, and notes the strongest acceleration in m/s² and steering angle in rad."""
+    """Driving function that decides like a given driver, and records its strongest requests.
+
+    These are the strongest acceleration in m/s² and the strongest steering angle in rad.
+    """
 
     def __init__(self, driver: Driver) -> None:
         self._driver = driver
@@ -33,7 +36,7 @@ class ObservedFunction(DrivingFunction):
         self.max_steering = np.inf
 
     def prepare(self, start: Start) -> None:
-        """Prepare the driver for a batch."""
+        """Prepare the driver for a batch of scenarios."""
         self.max_steering = start.body.max_steering
         if isinstance(self._driver, DrivingFunction):
             self._driver.prepare(start)
@@ -43,14 +46,14 @@ class ObservedFunction(DrivingFunction):
         self._driver.start(scenarios, others)
 
     def decide(self, situation: Situation) -> Controls:
-        """Return what the driver decides."""
+        """Return the driver's decision, and record its strongest values."""
         active, time = situation.active.copy(), situation.time
         if not isinstance(self._driver, DrivingFunction):
             accelerations = self._driver.acceleration(situation)
             self.most_acceleration = self.most_acceleration.strongest(
                 np.asarray(accelerations, np.float64), active, time
             )
-            # An attachment takes accelerations, too.
+            # The simulator takes accelerations instead of controls, too.
             return cast(Controls, accelerations)
         controls = self._driver.decide(situation)
         self.most_acceleration = self.most_acceleration.strongest(controls.acceleration, active, time)

@@ -1,4 +1,4 @@
-"""Checks of optimizers."""
+"""Contract checks of optimizers."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ _SPACES: Final = (("speed=5:15",), ("speed=5:15", "gap=0:40"), ("a=0:1", "b=0:1:
 
 
 def optimizer_checks(optimizer: str | Optimizer) -> list[ContractCheck]:
-    """Return the checks of an optimizer.
+    """Return the contract checks of an optimizer.
 
     Parameters
     ----------
     optimizer : str or Optimizer
-        Its name, with options after a colon, or an object.
+        Name, with options after a colon, or object.
 
     Returns
     -------
@@ -58,7 +58,7 @@ def _spaces() -> Iterator[ParameterSpace]:
 
 
 def _score(points: FloatArray) -> FloatArray:
-    """A smooth score with one critical region, in which lower is more critical."""
+    """Return a smooth example score of points, with one critical region; lower is more critical."""
     return np.asarray(np.linalg.norm(points - 0.35, axis=1))
 
 
@@ -110,7 +110,7 @@ def _resumes(optimizer: Any) -> None:
             if len(points):
                 _pass_scores(resumed, points, _score(points))
         assert np.array_equal(search.ask(_PER_ROUND), resumed.ask(_PER_ROUND)), (
-            "A fresh copy that was told the same proposes other points, so a killed study would go on otherwise."
+            "A fresh copy with the same scores proposes other points, so a killed search could not be resumed."
         )
 
 
@@ -132,7 +132,7 @@ def _changes_nothing(optimizer: Any) -> None:
         _pass_scores(search, points, scores)
         search.ask(_PER_ROUND)
         is_unchanged = np.array_equal(copies[0], points) and np.array_equal(copies[1], scores)
-        assert is_unchanged, "It changes what it is told."
+        assert is_unchanged, "It changes the arrays of points or scores that it is given."
 
 
 def _starts_copies(optimizer: Any) -> None:
@@ -142,4 +142,6 @@ def _starts_copies(optimizer: Any) -> None:
     points = first.ask(_PER_ROUND)
     _pass_scores(first, points, np.zeros(len(points)))
     fresh = created.start(space, 1, threshold=0.3, budget=_BUDGET)
-    assert np.array_equal(second.ask(_PER_ROUND), fresh.ask(_PER_ROUND)), "Searches share state by their object."
+    assert np.array_equal(second.ask(_PER_ROUND), fresh.ask(_PER_ROUND)), (
+        "Two searches that were started from one object share state."
+    )

@@ -1,4 +1,4 @@
-"""A file that shows how a simulator did in the small scenarios, to attach to an issue."""
+"""ZIP file with the results of a simulator's checks, to attach to an issue."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def write_proof(
     runs: Sequence[SmallRun],
     crashes: Sequence[CrashRun],
 ) -> None:
-    """Write a ZIP file with what checks of a simulator found, the small scenarios, and the recordings of both."""
+    """Write a ZIP file with a simulator's check results, the small scenarios, and recordings of both simulators."""
     proof = _describe(simulator, results, runs, crashes)
     with atomic_write(path) as temporary, ZipFile(temporary, "w", ZIP_DEFLATED) as archive:
         archive.writestr("summary.txt", _summarize(proof))
@@ -105,7 +105,10 @@ def _describe(
 
 
 def _settings(simulator: str | Simulator) -> tuple[Mapping[str, object], Mapping[str, str]]:
-    """Return what recordings depend on, and versions of programs; nothing if something is not installed."""
+    """Return a simulator's settings that recordings depend on, and versions of its programs.
+
+    Both are empty if something is not installed.
+    """
     try:
         created = SIMULATORS.create(simulator) if isinstance(simulator, str) else simulator
         return dict(created.settings), created.component_versions()
@@ -114,7 +117,7 @@ def _settings(simulator: str | Simulator) -> tuple[Mapping[str, object], Mapping
 
 
 def _summarize(proof: Mapping[str, Any]) -> str:
-    """Return what somebody who opens the file wants to see first, as lines of text."""
+    """Return the main results as text, for a reader who opens the ZIP file."""
     lines = [
         f"{proof['simulator']}, version {proof['version'] or 'unknown'}",
         *(f"{name}: {version or 'unknown'}" for name, version in proof["versions"].items()),
@@ -167,12 +170,12 @@ def _file_stem(run: SmallRun) -> str:
 
 
 def _rounded(numbers: Mapping[str, float | None]) -> dict[str, float | None]:
-    """Return numbers to 4 digits."""
+    """Return numbers rounded to 4 significant digits."""
     return {name: _round(value) for name, value in numbers.items()}
 
 
 def _round(value: float | None) -> float | None:
-    """Return a number to 4 digits; None for one that is infinite, which JSON does not know."""
+    """Return a number rounded to 4 significant digits; None for an infinite number, which JSON cannot hold."""
     return float(f"{value:.4g}") if value is not None and np.isfinite(value) else None
 
 

@@ -1,4 +1,4 @@
-"""Checks of simulators."""
+"""Contract checks of simulators."""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ from cornercase.testing._deviations import SmallRun, run_small_scenario, run_wit
 from cornercase.testing._example_function import CarFollowing
 from cornercase.testing._small_scenarios import AGENT_DURATIONS, SMALL_SCENARIOS, write_small_scenarios
 
-# m between positions and displacements, and from the builtin engine.
+# m by which positions in two runs may differ, and a distance from the integral of the speed.
 _TOLERANCE: Final = 0.5
-# m/s; an entity that is faster points where it goes.
+# m/s; faster entities must point where they go.
 _MOVING: Final = 2.0
 # rad; the slip of a vehicle is smaller.
 _MAX_SLIP: Final = 0.35
 _AVAILABLE: Final = "can run on this machine"
 _RUNS: Final = "gives one recording per scenario"
 _OWN_FUNCTION: Final = "a function of one's own"
-# Folders of scenarios that checks will run.
+# Temporary folders of scenarios that checks will run.
 _FOLDERS: Final = list[TemporaryDirectory[str]]()
-# What a check needs; all others need recordings.
+# Check that a check needs; all other checks need recordings.
 _NEEDS: Final = {_AVAILABLE: "", _RUNS: _AVAILABLE}
 
 
@@ -50,18 +50,18 @@ def simulator_checks(
     on_run: Callable[[SmallRun], None] | None = None,
     on_crash: Callable[[CrashRun], None] | None = None,
 ) -> list[ContractCheck]:
-    """Return the checks of a simulator.
+    """Return the contract checks of a simulator.
 
     Parameters
     ----------
     simulator : str or Simulator
-        Its name, with options after a colon, or an object.
+        Name, with options after a colon, or object.
     cases : sequence of Cases, optional
-        Scenarios to run; by default some that come with cornercase.
+        Scenarios to run; by default some examples of cornercase.
     on_run : callable, optional
         Called with each run of a small scenario.
     on_crash : callable, optional
-        Called with what came of the crash on purpose.
+        Called with the result of the crash on purpose.
 
     Returns
     -------
@@ -70,7 +70,7 @@ def simulator_checks(
     Raises
     ------
     InputError
-        Unknown name, or a class instead of an object.
+        The name is unknown, or a class is given instead of an object.
 
     Examples
     --------
@@ -99,7 +99,7 @@ def simulator_checks(
         checks["gives the same alone and among other scenarios"] = _is_independent
     if not declared.in_process:
         checks["goes on after a crash on purpose"] = partial(_survives_crash, on_crash=on_crash)
-    # Without drivers, as each simulator has its own.
+    # Without drivers, since each simulator has drivers of its own.
     for name in SMALL_SCENARIOS:
         checks[f"agrees with the builtin simulator: {name}"] = partial(_agrees, name=name, on_run=on_run)
     for name in AGENT_DURATIONS:
@@ -139,8 +139,8 @@ def _is_available(simulator: Any, _: Sequence[Cases]) -> None:
     stored = json.loads(json.dumps(dict(created.settings)))
     for name, value in created.settings.items():
         assert stored.get(name) == value, (
-            f"Its setting '{name}' is {repr_short(value)}, and {repr_short(stored.get(name))} as it is stored, so that"
-            " a study could not be resumed; give plain JSON values."
+            f"Its setting '{name}' is {repr_short(value)}, but {repr_short(stored.get(name))} after it was stored, so"
+            " that a study could not be resumed; give plain JSON values."
         )
 
 
@@ -232,7 +232,7 @@ def _survives_crash(
     simulator: Any, all_cases: Sequence[Cases], on_crash: Callable[[CrashRun], None] | None = None
 ) -> None:
     if not isinstance(simulator, str):
-        raise NotTriedError("An object runs in this process; give its name.")
+        raise NotTriedError("A simulator object runs in this process, which cannot be killed; give the name instead.")
     run = crash_during_runs(simulator, all_cases[0].concretes[0], all_cases[0].entity)
     if on_crash is not None:
         on_crash(run)

@@ -1,4 +1,4 @@
-"""Small scenarios: twelve that each show one thing that a simulator has to get right, and two for agents."""
+"""Small scenarios for checks of simulators: twelve that each show one behaviour, and two that an agent drives in."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ LANE_Y: Final = -5.25
 """y in m of the middle of lane -2 of the motorway, along which the ego drives."""
 
 AGENT_SPEED: Final = 5.0
-"""First speed in m/s of an ego that an agent drives; any agent goes on faster where the lane is free."""
+"""Initial speed in m/s of an ego that an agent drives."""
 
 
-# m; CARLA's behaviour agents do not see a vehicle that is straight ahead to the last digit.
+# m; CARLA's behaviour agents do not see a vehicle that is exactly straight ahead.
 _VAN_OFFSET: Final = 0.1
 
 
 class SmallScenario(NamedTuple):
-    """One of the scenarios: what it shows, its road, the kinds of its entities and what they do at first and later.
+    """Description of a small scenario: name, road, kinds of entities, initial actions, events, and duration in s.
 
-    Entities have the names that CarMaker's result files have.
+    Entities are named as in result files of CarMaker.
     """
 
     name: str
@@ -39,7 +39,10 @@ class SmallScenario(NamedTuple):
 
 
 def write_small_scenarios(folder: Path, *names: str) -> dict[str, ConcreteScenario]:
-    """Write scenarios, by default the twelve, and their roads to a folder; return them by name."""
+    """Write small scenarios and their roads to a folder; return the concrete scenarios by name.
+
+    Without `names`, the twelve scenarios without agents are written.
+    """
     concretes = dict[str, ConcreteScenario]()
     for number, scenario in enumerate((*_SMALL_SCENARIOS, *_AGENT_SCENARIOS), 1):
         if scenario.name not in (names or SMALL_SCENARIOS):
@@ -122,7 +125,7 @@ def _lane_change(lane: int, seconds: float) -> str:
 
 
 def _trajectory(vertices: Sequence[tuple[float, float, float, float]], *, has_times: bool = True) -> str:
-    """Return an action along vertices of time, x, y and heading."""
+    """Return the XML of an action along a trajectory; a vertex has time in s, x and y in m, and heading in rad."""
     points = "".join(
         f'<Vertex time="{time}"><Position>{_world(x, y, heading)}</Position></Vertex>'
         for time, x, y, heading in vertices
@@ -287,7 +290,7 @@ _SMALL_SCENARIOS: Final = (
 )
 
 SMALL_SCENARIOS: Final = tuple(scenario.name for scenario in _SMALL_SCENARIOS)
-"""Names of the scenarios, in order."""
+"""Names of the twelve small scenarios without agents, in order."""
 
 _AGENT_SCENARIOS: Final[tuple[SmallScenario, ...]] = (
     SmallScenario(
@@ -312,4 +315,4 @@ _AGENT_SCENARIOS: Final[tuple[SmallScenario, ...]] = (
 )
 
 AGENT_DURATIONS: Final = {scenario.name: scenario.duration for scenario in _AGENT_SCENARIOS}
-"""Names of the scenarios in which an agent drives the ego straight on along its route, and how long they take in s."""
+"""Durations in s of the scenarios in which an agent drives the ego straight on along its route, by name."""

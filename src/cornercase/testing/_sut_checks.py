@@ -1,4 +1,4 @@
-"""Checks of systems under test."""
+"""Contract checks of systems under test."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ _SETTINGS: Final[dict[str, Any]] = {"time_step": 0.05, "duration": 12.0}
 _SHORT: Final = 4.0
 _DRIVES: Final = "drives every scenario"
 _REPEATS: Final = "repeats itself"
-# m/s and m/s²; no vehicle does more, so that something else is in its unit.
+# m/s and m/s²; no vehicle does more, so larger values are in another unit.
 _MAX_SPEED: Final = 100.0
 _MAX_ACCELERATION: Final = 25.0
-# m/s²; what a system may ask for, which is less than what may come of a place that it asks for.
+# m/s²; largest acceleration that a system may request. Requested positions may cause larger accelerations.
 _MAX_REQUEST: Final = 15.0
-# rad; as much more than the wheels can do may come from rounding.
+# rad by which rounding may exceed the largest steering angle.
 _ROUNDING: Final = 1e-9
 # rad; no vehicle turns further in a step.
 _MAX_TURN: Final = 0.5
@@ -42,14 +42,14 @@ _ANGLES: Final = "angles are in rad, so look for degrees"
 
 
 def sut_checks(system: str | SystemUnderTest | Driver, cases: Sequence[Cases] | None = None) -> list[ContractCheck]:
-    """Return the checks of a system under test.
+    """Return the contract checks of a system under test.
 
     Parameters
     ----------
     system : str, SystemUnderTest or Driver
         As for ``drivers``: an object, or a text such as ``"my_aeb:Aeb:reaction=0.3"``.
     cases : sequence of Cases, optional
-        Scenarios to drive in; by default some that come with cornercase.
+        Scenarios to drive in; by default some examples of cornercase.
 
     Returns
     -------
@@ -81,7 +81,7 @@ def sut_checks(system: str | SystemUnderTest | Driver, cases: Sequence[Cases] | 
 
 
 class _Subject:
-    """A system under test, and the scenarios that it is checked in."""
+    """System under test, and the scenarios in which it is checked."""
 
     def __init__(self, system: str | SystemUnderTest | Driver, cases: Sequence[Cases]) -> None:
         self._system, self._cases = system, cases
@@ -99,7 +99,7 @@ class _Subject:
             )
 
     def drives(self) -> None:
-        # Code that the user names runs in a process of its own, which may crash.
+        # Code that the user names runs in a separate process, which may crash.
         self._drives = False
         driver = resolve_driver(self._system) if isinstance(self._system, str) else self._create()
         for cases in self._cases:
@@ -110,7 +110,7 @@ class _Subject:
         self._require_driving()
         for cases in self._cases:
             self._run_observed(cases)
-        # Without limits in the file, which would hide what the system asks for.
+        # Limits in the file would hide what the system requests.
         with TemporaryDirectory() as folder:
             cases = unlimited_cases(Path(folder))
             for recording in self._run_observed(cases):
@@ -127,7 +127,7 @@ class _Subject:
                     assert size[k] < limit, f"{what}, which no vehicle does; {hint}."
 
     def _run_observed(self, cases: Cases) -> list[Recording]:
-        """Run, and check what the system asks for."""
+        """Run the scenarios, and check that a vehicle can follow what the system requests; return the recordings."""
         driver, observed = self._create(), None
         decides = driver.driver if isinstance(driver, EquippedDriver) else driver
         if not is_compiled(decides):
@@ -213,14 +213,14 @@ class _Subject:
     def _run(
         self, cases: Cases, rows: Sequence[int] | None = None, *, driver: Driver | None = None, **options: float
     ) -> list[Recording]:
-        """Run in this process."""
+        """Run the scenarios in this process."""
         self._require_driving()
         simulator = Builtin(drivers={cases.entity: driver or self._create()}, **{**_SETTINGS, **options})
         return cases.run(simulator, rows)
 
 
 def _require_plain(description: object) -> None:
-    """Require of settings that they are stored as they are."""
+    """Require that settings are plain JSON values, so that they are stored unchanged."""
     for name, value in description.items() if isinstance(description, Mapping) else ():
         if name == "settings":
             _require_plain(value)
@@ -236,7 +236,7 @@ def _require_plain(description: object) -> None:
 
 
 def _require_feasible(observed: ObservedFunction) -> None:
-    """Require that the strongest decisions are such that a vehicle can follow them."""
+    """Require that a vehicle can follow the strongest requests of a driver."""
     acceleration, steering, bound = observed.most_acceleration, observed.most_steering, observed.max_steering
     assert abs(acceleration.value) <= _MAX_REQUEST, (
         f"At {acceleration.time:g} s it asks for an acceleration of {acceleration.value:.3g} m/s², and no vehicle does"
@@ -259,7 +259,7 @@ def _require_same(first: Sequence[Recording], second: Sequence[Recording], what:
 
 
 def _first_difference(first: Recording, second: Recording) -> float | None:
-    """Return the first instant in s of both at which the motion differs; None if there is none."""
+    """Return the first common instant in s at which the motion differs; None if the motion is the same."""
     count = min(len(first.time), len(second.time))
     differs = np.zeros(count, dtype=np.bool_)
     for name in ("x", "y", "heading", "speed"):
