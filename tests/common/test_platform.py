@@ -85,7 +85,6 @@ def test_a_file_that_is_looked_at_for_a_moment_is_replaced_all_the_same(monkeypa
         replace(source, target)
 
     monkeypatch.setattr(platform, "_WINDOWS", True)
-    monkeypatch.setattr(platform, "_RETRY_DELAY", 0.0)
     monkeypatch.setattr(os, "replace", held)
     with atomic_write(tmp_path / "file.txt") as temporary:
         temporary.write_text("new")

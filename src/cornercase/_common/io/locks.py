@@ -32,20 +32,21 @@ def try_lock(path: Path) -> BaseFileLock | None:
 
 
 @contextmanager
-def lock(path: Path) -> Iterator[None]:
+def lock(path: Path, timeout: float = _TIMEOUT) -> Iterator[None]:
     """Hold a lock on the file `path` during the block; a thread that holds the lock may enter again.
 
-    If the lock file cannot be written, or the lock is not free within a minute, the block runs without a lock: a
+    If the lock file cannot be written, or the lock is not free within `timeout` s, the block runs without a lock: a
     process that holds it for so long has probably been suspended. Later calls then do not wait for this lock.
     """
     with ExitStack() as stack:
-        timeout = 0.0 if path in _TIMED_OUT else _TIMEOUT
         # filelock's Timeout is an OSError, too.
         with suppress(OSError, NotImplementedError):
             path.parent.mkdir(parents=True, exist_ok=True)
             try:
                 stack.enter_context(
-                    FileLock(path, is_singleton=True).acquire(timeout=timeout, poll_interval=_POLL_INTERVAL)
+                    FileLock(path, is_singleton=True).acquire(
+                        timeout=0.0 if path in _TIMED_OUT else timeout, poll_interval=_POLL_INTERVAL
+                    )
                 )
             except Timeout:
                 _TIMED_OUT.add(path)
