@@ -15,10 +15,17 @@ from scipy.spatial.distance import pdist, squareform
 
 from conftest import at_night
 from cornercase._common.errors import InputError, SimulationError
-from cornercase._common.memory import MemoryLimit
-from cornercase.clustering import Candidate, analyze, read_analyses, read_analysis, read_distances
+from cornercase._common.memory import DEFAULT_MEMORY, MemoryLimit
+from cornercase.clustering import (
+    Candidate,
+    ScenarioClustering,
+    analyze,
+    read_analyses,
+    read_analysis,
+    read_distances,
+)
 from cornercase.clustering._agreement import compare_clusterings
-from cornercase.clustering._analyze import _require_memory
+from cornercase.clustering._analyze import _analyze_by_aspects, _require_memory
 from cornercase.study import StudyFile
 from helpers.checksums import reseal
 from helpers.synthetic_study import Synthetic, explorer, opened
@@ -85,11 +92,19 @@ def test_the_distances_are_those_of_the_aspect(path):
         np.testing.assert_allclose(read_distances(study, "distance"), expected, rtol=1e-6, atol=1e-5)
 
 
-def test_landmarks_are_read_back_and_are_still_those_after_others_joined(path, monkeypatch):
-    monkeypatch.setattr("cornercase.clustering._scenario_clustering.MAX_WITHOUT_LANDMARKS", 20)
-    monkeypatch.setattr("cornercase.clustering._scenario_clustering.N_KERNEL_LANDMARKS", 15)
+def test_landmarks_are_read_back_and_are_still_those_after_others_joined(path):
     with opened(path) as study:
-        before = analyze(study, "distance")["distance"]
+        # The study has too few scenarios for landmarks, unless they are asked for.
+        before = _analyze_by_aspects(
+            study,
+            ["distance"],
+            ScenarioClustering(landmarks=15),
+            window=None,
+            keep_clusters=False,
+            memory_limit=MemoryLimit.from_value(DEFAULT_MEMORY),
+            client=None,
+            progress=False,
+        )["distance"]
         explorer(study, metrics=("distance", "wttc"), optimizer="sobol", budget=60).run()
         after = analyze(study, "distance", keep_clusters=True)["distance"]
         same(after, read_analysis(study, "distance"))

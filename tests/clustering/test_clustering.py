@@ -148,12 +148,15 @@ def test_landmarks_find_the_same_and_say_what_they_lose():
     assert cluster(few).error == 0.0
 
 
-def test_many_scenarios_take_landmarks_by_themselves(monkeypatch):
-    monkeypatch.setattr("cornercase.clustering._scenario_clustering.MAX_WITHOUT_LANDMARKS", 500)
-    monkeypatch.setattr("cornercase.clustering._scenario_clustering.N_KERNEL_LANDMARKS", 300)
+def test_many_scenarios_take_landmarks_by_themselves():
+    model = ScenarioClustering()
+    assert [model._choose_n_landmarks(count) for count in (5000, 5001, 100_000)] == [5000, 2000, 2000]
+
+
+def test_scenarios_that_are_no_landmarks_join_the_clusters_of_landmarks():
     points, truth = make_circles(700, noise=0.04, factor=0.4, random_state=1)
     distances = between(points)
-    model = ScenarioClustering().fit(distances)
+    model = ScenarioClustering(landmarks=300).fit(distances)
     assert len(model.result_.landmarks) == 300
     assert adjusted_rand_score(truth, model.labels_) >= 0.95
     np.testing.assert_allclose(model.transform(distances), model.embedding_, atol=1e-9)

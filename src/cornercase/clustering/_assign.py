@@ -28,7 +28,12 @@ def refit(analysis: Analysis, distances: FloatArray) -> ScenarioClustering:
     clustering = analysis.clustering
     dimensions = clustering.embedding.shape[1]
     return ScenarioClustering(
-        clustering.gamma, clustering.eps, clustering.min_samples, dimensions, method=clustering.method
+        clustering.gamma,
+        clustering.eps,
+        clustering.min_samples,
+        dimensions,
+        method=clustering.method,
+        landmarks=len(clustering.landmarks) or None,
     ).fit(distances)
 
 
