@@ -11,7 +11,6 @@ from sklearn.metrics import adjusted_mutual_info_score
 
 from cornercase.clustering import _analyze as analyze_module
 from cornercase.clustering import _landmarks as landmarks
-from cornercase.clustering import _settings_map as settings_map
 from cornercase.clustering import analyze, cluster, read_analysis, read_distances
 from cornercase.clustering._settings_map import EPS, GAMMAS, Observed, map_settings, usual_min_samples
 from cornercase.study import StudyFile
@@ -90,11 +89,10 @@ def test_it_is_the_same_again(path, mapped):
         np.testing.assert_array_equal(getattr(again, name), getattr(mapped[0], name))
 
 
-def test_of_many_scenarios_a_sample_is_taken(path, monkeypatch):
-    monkeypatch.setattr(settings_map, "MAX_MAPPED", 20)
+def test_of_many_scenarios_a_sample_is_taken(path):
     with StudyFile.open(path, readonly=True) as study:
         analysis = read_analysis(study, "distance")
-        found = map_settings(study, analysis, Observed.from_study(study))
+        found = map_settings(study, analysis, Observed.from_study(study), max_mapped=20)
     assert len(found.rows) == 20 < len(analysis.ids)
     assert found.labels.shape == (len(found.min_samples), len(GAMMAS), len(EPS), 20)
     assert found.min_samples == usual_min_samples(len(analysis.ids))

@@ -102,7 +102,12 @@ def usual_min_samples(n_scenarios: int) -> tuple[int, ...]:
 
 
 def map_settings(
-    study: StudyFile, analysis: Analysis, observed: Observed, on_gamma: Callable[[int], None] | None = None
+    study: StudyFile,
+    analysis: Analysis,
+    observed: Observed,
+    on_gamma: Callable[[int], None] | None = None,
+    *,
+    max_mapped: int = MAX_MAPPED,
 ) -> SettingsMap:
     """Cluster the scenarios of an analysis with each setting of a grid, from the stored distances.
 
@@ -110,7 +115,7 @@ def map_settings(
     approximate: min_samples is reduced in proportion. `on_gamma` is called with the number of values of gamma done so
     far.
     """
-    distances, rows = _sampled_distances(study, analysis)
+    distances, rows = _sampled_distances(study, analysis, max_mapped)
     order = canonical_order(distances)
     scaled = distances[np.ix_(order, order)] / (analysis.clustering.scale or 1.0)
     # With landmarks, `analyze` clusters only the landmarks, and all of them are on the map.
@@ -148,16 +153,16 @@ def map_settings(
     )
 
 
-def _sampled_distances(study: StudyFile, analysis: Analysis) -> tuple[FloatArray, IntArray]:
-    """Return the distances between at most `MAX_MAPPED` scenarios of an analysis, and their rows in the analysis.
+def _sampled_distances(study: StudyFile, analysis: Analysis, max_mapped: int) -> tuple[FloatArray, IntArray]:
+    """Return the distances between at most `max_mapped` scenarios of an analysis, and their rows in the analysis.
 
     If the analysis has landmarks, these scenarios are the landmarks.
     """
     if analysis.embedding_error is not None:
         return read_landmark_distances(study, analysis.by), np.asarray(analysis.clustering.landmarks)
     rows = np.arange(len(analysis.ids))
-    if len(rows) > MAX_MAPPED:
-        rows = np.sort(np.random.default_rng(0).choice(rows, MAX_MAPPED, replace=False))
+    if len(rows) > max_mapped:
+        rows = np.sort(np.random.default_rng(0).choice(rows, max_mapped, replace=False))
     return np.asarray(read_distances(study, analysis.by)[np.ix_(rows, rows)]), rows
 
 
