@@ -8,9 +8,11 @@ from scipy.spatial.distance import pdist, squareform
 from sklearn.metrics import adjusted_rand_score
 
 from cornercase._common.errors import InputError
+from cornercase._common.memory import MemoryLimit
 from cornercase.clustering import ScenarioClustering, analyze, read_analysis, read_distances
 from cornercase.clustering import _analyze as analyze_module
 from cornercase.clustering import _landmarks as landmarks
+from cornercase.clustering._analyze import _read_inputs
 from cornercase.clustering._anchors import N_ANCHORS, DistanceCompletion
 from cornercase.clustering._assign import assign_to_clusters
 from cornercase.clustering._embedding import EmbeddedDistances, LandmarkMDS
@@ -166,11 +168,14 @@ def test_clusters_of_all_pairs_are_kept_when_there_are_many(path, monkeypatch):
     assert later.labels[: len(first.labels)].tolist() == first.labels.tolist()
 
 
-def test_what_does_not_fit_is_refused_ahead(path, many, monkeypatch):
-    monkeypatch.setattr(analyze_module, "_SAMPLED_RECORDINGS", 10)
-    monkeypatch.setattr(analyze_module, "_BYTES_PER_SCENARIO", 10**9)
-    with pytest.raises(InputError, match=r"scenarios need .* more than `memory` 1 GB"):
-        analyze(path, memory="1 GB")
+def test_what_does_not_fit_is_refused_ahead(path):
+    limit, ids = MemoryLimit.from_value("1 GB"), np.arange(1, 100_001)
+    with (
+        StudyFile.open(path, readonly=True) as study,
+        pytest.raises(InputError, match=r"the series of 100000 scenarios need .* more than `memory` 1 GB"),
+    ):
+        # After ten recordings, as if there were many more to read.
+        _read_inputs(study, ids, {"distance": 1}, limit, None, with_times=False, n_sampled=10)
 
 
 @pytest.mark.parametrize(("n", "k", "axes"), [(400, 40, 48), (300, 300, 3), (333, 17, 8), (200, 1, 1)])

@@ -12,7 +12,6 @@ from cornercase.clustering import _analyze as analyze_module
 from cornercase.clustering import _landmarks as landmarks
 from cornercase.clustering import analyze
 from cornercase.clustering._embedding import EmbeddedDistances
-from cornercase.reduction import _coverage_sums as coverage_sums
 from cornercase.reduction import _reduce as reduce_module
 from cornercase.reduction import reduce
 from cornercase.reduction._coverage import measure_coverage
@@ -43,13 +42,14 @@ def test_the_choice_by_places_is_that_by_the_matrix(scenarios):
 
 
 @pytest.mark.parametrize("size", at_night([20, 60, 400], {60, 400}))
-def test_the_choice_by_cells_is_that_by_the_matrix(scenarios, monkeypatch, size):
+def test_the_choice_by_cells_is_that_by_the_matrix(scenarios, size):
     points, places, _, labels = scenarios
-    # Distances of 300 scenarios would be kept in memory; the patch prevents that. The last cell is not full.
-    monkeypatch.setattr(coverage_sums, "_MAX_IN_MEMORY", 10)
+    # The last cell is not full.
     doubled = [np.concatenate((one, one[:7])) for one in places]
     points, labels = (np.concatenate((one, one[:7])) for one in (points, labels))
-    placed = select_scenarios(points, [EmbeddedDistances(one) for one in doubled], labels, [1], size=size)
+    # Distances of 300 scenarios would be kept in memory otherwise.
+    embedded = [EmbeddedDistances(one) for one in doubled]
+    placed = select_scenarios(points, embedded, labels, [1], size=size, max_in_memory=10)
     whole = select_scenarios(points, [squareform(pdist(one, "sqeuclidean")) for one in doubled], labels, [1], size=size)
     assert [one.index for one in placed] == [one.index for one in whole]
     assert len(placed) == min(size, len({one.index % 300 for one in placed}))
@@ -111,7 +111,6 @@ def test_a_study_of_many_is_reduced_within_a_memory(tmp_path, monkeypatch):
     reduced = reduce(path, tmp_path / "kept", size=8)
     assert len(reduced) == 8
     assert reduced.coverage["distance"].largest_relative < 0.5
-    monkeypatch.setattr(reduce_module, "_BYTES_PER_SCENARIO", 10**8)
     with pytest.raises(InputError, match=r"distances of \d+ scenarios need .* more than `memory` 500 MB"):
         reduce(path, tmp_path / "kept", size=8, memory="500 MB")
 

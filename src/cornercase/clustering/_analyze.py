@@ -260,7 +260,9 @@ def _read_inputs(
     bar: ProgressBar | None,
     *,
     with_times: bool,
+    n_sampled: int = _SAMPLED_RECORDINGS,
 ) -> _Inputs:
+    """Read the inputs of all scenarios; after `n_sampled` of them, refuse what will not fit in memory."""
     outcomes, traits, times = [], [], []
     main = study.primary_other()
     main_index = study.meta.others.index(main)
@@ -290,7 +292,7 @@ def _read_inputs(
             series_by_aspect[name].append(downsample(series, stride))
         if with_times:
             times.append(digest.time if digest.stride == 1 else study.recording(i).time)
-        if count == _SAMPLED_RECORDINGS:
+        if count == n_sampled:
             _require_memory(study, series_by_aspect, len(strides), len(ids), memory_limit)
         if bar:
             bar.update(count, "read")

@@ -13,8 +13,8 @@ from cornercase.clustering._embedding import Distances, EmbeddedDistances
 from cornercase.reduction._coverage_cells import CellCoverageSums
 from cornercase.reduction._selection_state import SIMILAR_SHARE, Selection
 
-# Largest number of scenarios for which all costs are kept in memory.
-_MAX_IN_MEMORY: Final = 2000
+MAX_IN_MEMORY: Final = 2000
+"""Largest number of scenarios for which all costs are kept in memory."""
 # Number of costs that fit in the CPU cache.
 _CACHED_COSTS: Final = 2**15
 EXCHANGE_ROUNDS: Final = 3
@@ -41,11 +41,17 @@ class SetComposition(NamedTuple):
 class CoverageSums:
     """Coverage sum: weighted sum of powers of the distances to the nearest selected scenario, over all clusterings.
 
-    `is_critical`, shape (n,), marks scenarios of critical clusters. `size` is the number of scenarios to select.
+    `is_critical`, shape (n,), marks scenarios of critical clusters. `size` is the number of scenarios to select. The
+    costs of up to `max_in_memory` scenarios are kept in memory.
     """
 
     def __init__(
-        self, distances: Sequence[Distances], is_critical: BoolArray, composition: SetComposition, size: int
+        self,
+        distances: Sequence[Distances],
+        is_critical: BoolArray,
+        composition: SetComposition,
+        size: int,
+        max_in_memory: int = MAX_IN_MEMORY,
     ) -> None:
         n_neighbours = min(-(-len(is_critical) // size), len(is_critical) - 1)
         self._weights = np.where(is_critical, composition.critical_weight, 1.0)
@@ -57,7 +63,7 @@ class CoverageSums:
         # All costs take as much memory as all distances.
         self._all_costs = (
             [self._compute_costs(k, np.arange(len(is_critical))) for k in range(len(distances))]
-            if len(is_critical) <= _MAX_IN_MEMORY
+            if len(is_critical) <= max_in_memory
             else None
         )
 

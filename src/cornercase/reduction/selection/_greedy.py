@@ -13,7 +13,7 @@ from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.clustering._embedding import Distances
 from cornercase.reduction._baselines import Baselines
 from cornercase.reduction._cluster_shapes import ShapedCluster, classify_cluster_shapes, divide_in_proportion
-from cornercase.reduction._coverage_sums import CoverageSums, SetComposition
+from cornercase.reduction._coverage_sums import MAX_IN_MEMORY, CoverageSums, SetComposition
 from cornercase.reduction._medoids import find_prototype
 from cornercase.reduction._random_selections import submatrix
 from cornercase.reduction._selection_state import SIMILAR_SHARE, Selected, Selection
@@ -45,6 +45,7 @@ def select_scenarios(
     cover: float | None = None,
     shaped_clusters: Sequence[ShapedCluster] | None = None,
     sampled_from: int = _SAMPLED_FROM,
+    max_in_memory: int = MAX_IN_MEMORY,
 ) -> tuple[Selected, ...]:
     """Select scenarios that represent the clusters, then scenarios that are far from these.
 
@@ -73,7 +74,8 @@ def select_scenarios(
 
     No scenario is selected that is similar to a selected one: at most 0.001 of the largest distance away in each
     clustering. `points`, shape (n, d), are in the unit cube. `distances` belong to all clusterings,
-    `labels` to the first clustering. `shaped_clusters` defaults to `classify_cluster_shapes`.
+    `labels` to the first clustering. `shaped_clusters` defaults to `classify_cluster_shapes`. `max_in_memory` is that
+    of `CoverageSums`.
     """
     if (size is None) == (cover is None):
         raise InputError("`size`, `cover`: give exactly one of them.")
@@ -103,7 +105,9 @@ def select_scenarios(
         cluster.shape.cluster: cluster
         for cluster in (classify_cluster_shapes(points, labels) if shaped_clusters is None else shaped_clusters)
     }
-    task = _SelectionTask(points, distances, labels, critical_clusters, clusters, shapes, size, sampled_from)
+    task = _SelectionTask(
+        points, distances, labels, critical_clusters, clusters, shapes, size, sampled_from, max_in_memory
+    )
     baselines = Baselines(distances, labels, critical_clusters, size) if len(labels) <= _MAX_EXCHANGED else None
     best, smallest_shortfall = base.selected, np.inf
     for composition in _COMPOSITIONS:
@@ -154,6 +158,7 @@ class _SelectionTask:
     shaped_by_cluster: Mapping[int, ShapedCluster]
     size: int
     sampled_from: int
+    max_in_memory: int
 
     def complete(self, base: Selection, composition: SetComposition) -> Selection:
         """Return a copy of the selection `base`, with archetypes and scenarios far from all selected ones added."""
@@ -181,7 +186,8 @@ class _SelectionTask:
         n_first = min(self.size, int(_FIRST_SHARE * len(self.labels)))
         if len(self.labels) > self.sampled_from and n_fixed < n_first:
             self._add_from_sample(selection, composition, n_first)
-        sums = CoverageSums(self.distances, np.isin(self.labels, self.critical_clusters), composition, self.size)
+        is_critical = np.isin(self.labels, self.critical_clusters)
+        sums = CoverageSums(self.distances, is_critical, composition, self.size, self.max_in_memory)
         search = sums.search_greedily(selection.indices)
         while not selection.is_complete and (best := search.pop_best_candidate()) is not None:
             if selection.add(Selected(best, int(self.labels[best]), "gap")):
@@ -203,6 +209,7 @@ class _SelectionTask:
             np.isin(self.labels[rows], self.critical_clusters),
             composition,
             size,
+            self.max_in_memory,
         )
         search = sums.search_greedily(np.searchsorted(rows, selection.indices).tolist())
         while len(selection.selected) < size and (best := search.pop_best_candidate()) is not None:
