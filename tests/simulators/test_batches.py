@@ -211,13 +211,15 @@ def test_batches_beside_each_other_give_the_same_and_each_its_errors(tmp_path, m
     init = private(teleport("$s").replace('roadId="1"', 'roadId="$road"'), speed_action("$v"))
     declarations = declared("s", "5") + declared("v", "10") + declared("road", "1", "string")
     path = scenario_file(tmp_path, init=init, parameters=declarations)
-    # The last third name a road that does not exist; others start off the road.
-    values = [{"s": 5000.0 if k == 4 else 5.0, "v": float(k), "road": "1" if k < 8 else "9"} for k in range(12)]
+    # The last third name a road that does not exist; another one starts off the road.
+    values = [
+        {"s": 5000.0 if k == 4 else 5.0, "v": float(k % 40), "road": "1" if k < 1024 else "9"} for k in range(1536)
+    ]
+    monkeypatch.setattr(builtin_simulator, "count_available_cpus", lambda: 1)
     one_batch = [outcome(one) for one in results(path, *values)]
     monkeypatch.setattr(builtin_simulator, "count_available_cpus", lambda: 3)
-    monkeypatch.setattr(builtin_simulator, "_MIN_SCENARIOS_PER_BATCH", 4)
     assert [outcome(one) for one in results(path, *values)] == one_batch
-    assert [one == "" for one in words(path, *values)] == [k != 4 and k < 8 for k in range(12)]
+    assert [one == "" for one in words(path, *values)] == [k != 4 and k < 1024 for k in range(1536)]
 
 
 def test_batches_that_run_already_are_formed_anew_where_a_later_one_has_to_be_split(tmp_path, monkeypatch):
@@ -226,10 +228,10 @@ def test_batches_that_run_already_are_formed_anew_where_a_later_one_has_to_be_sp
     path = scenario_file(
         tmp_path, init=init, story=story, parameters=declared("v", "10") + declared("shape", "linear", "string")
     )
-    values = [{"v": 5.0 + k, "shape": "step" if k > 9 else "linear"} for k in range(12)]
-    apart = [outcome(results(path, one)[0]) for one in values]
+    values = [{"v": 5.0 + k % 31, "shape": "step" if k >= 1280 else "linear"} for k in range(1536)]
+    chosen = [0, 511, 512, 1023, 1024, 1279, 1280, 1535]
+    apart = [outcome(results(path, values[k])[0]) for k in chosen]
     monkeypatch.setattr(builtin_simulator, "count_available_cpus", lambda: 3)
-    monkeypatch.setattr(builtin_simulator, "_MIN_SCENARIOS_PER_BATCH", 4)
     formed = []
 
     def counted(prepared, values, *rest):
@@ -237,9 +239,10 @@ def test_batches_that_run_already_are_formed_anew_where_a_later_one_has_to_be_sp
         return Batch(prepared, values, *rest)
 
     monkeypatch.setattr(builtin_simulator, "Batch", counted)
-    assert [outcome(one) for one in results(path, *values)] == apart
-    assert formed[:3] == [4, 4, 4]
-    assert sorted(formed[3:]) == [2, 5, 5]
+    together = results(path, *values)
+    assert [outcome(together[k]) for k in chosen] == apart
+    assert formed[:3] == [512, 512, 512]
+    assert sorted(formed[3:]) == [256, 640, 640]
 
 
 def test_who_stops_asking_can_ask_again(tmp_path, monkeypatch):
@@ -247,9 +250,8 @@ def test_who_stops_asking_can_ask_again(tmp_path, monkeypatch):
         tmp_path, init=private(teleport("0"), speed_action("$v")), parameters=declared("v", "10"), entities=car("Ego")
     )
     monkeypatch.setattr(builtin_simulator, "count_available_cpus", lambda: 2)
-    monkeypatch.setattr(builtin_simulator, "_MIN_SCENARIOS_PER_BATCH", 4)
     simulator = Builtin(duration=1.0)
-    concretes = [ConcreteScenario(path, {"v": float(k)}) for k in range(8)]
+    concretes = [ConcreteScenario(path, {"v": k / 32.0}) for k in range(1024)]
     whole = [outcome(one) for one in simulator.run(concretes)]
     asked = simulator.run(concretes)
     assert outcome(next(asked)) == whole[0]
@@ -338,13 +340,16 @@ def test_a_condition_that_cannot_be_is_refused_before_it_is_asked(tmp_path, cond
         results(path, {})
 
 
-def test_batches_are_cut_by_what_they_hold_and_give_the_same(tmp_path, monkeypatch):
+def test_batches_are_cut_by_what_they_may_hold_and_give_the_same(tmp_path, monkeypatch):
     path = scenario_file(
-        tmp_path, init=private(teleport("0"), speed_action("$v")), parameters=declared("v", "10"), entities=car("Ego")
+        tmp_path,
+        init=private(teleport("0"), speed_action("$v")),
+        parameters=declared("v", "10"),
+        entities=car("Ego"),
+        stop=time_trigger("0.2"),
     )
-    values = [{"v": float(v)} for v in range(1, 13)]
-    whole = [outcome(one) for one in results(path, *values)]
-    one = PreparedScenario(ScenarioFile.read(path)).estimate_bytes(22, False)
+    concretes = [ConcreteScenario(path, {"v": float(v)}) for v in range(1, 13)]
+    whole = [outcome(one) for one in Builtin(time_step=0.001, duration=1.0).run(concretes)]
     sizes = []
 
     def counted(prepared, values, *rest):
@@ -352,12 +357,12 @@ def test_batches_are_cut_by_what_they_hold_and_give_the_same(tmp_path, monkeypat
         return Batch(prepared, values, *rest)
 
     monkeypatch.setattr(builtin_simulator, "Batch", counted)
-    monkeypatch.setattr(builtin_simulator, "_MAX_BATCH_BYTES", 5 * one)
-    assert [outcome(one) for one in results(path, *values)] == whole
+    # The longest recordings that can be asked for, of 144 MB each.
+    simulator = Builtin(time_step=0.001, duration=3600.0)
+    assert [outcome(one) for one in simulator.run(concretes)] == whole
     assert sizes == [5, 5, 2]
     # However small the limit is, one scenario runs.
-    monkeypatch.setattr(builtin_simulator, "_MAX_BATCH_BYTES", 1)
-    assert [outcome(one) for one in results(path, *values)] == whole
+    assert [len(portion) for portion in simulator._split_by_memory(concretes, max_bytes=1)] == [1] * 12
 
 
 def following(shape: str) -> str:

@@ -34,8 +34,8 @@ def drawn(name: str, count: int) -> list[ConcreteScenario]:
     return [logical.concrete_scenario(values) for values in logical.space.values(points)]
 
 
-def recordings(concretes: list[ConcreteScenario]) -> list[Recording | SimulationError]:
-    return list(Builtin(duration=20.0).run(concretes))
+def recordings(concretes: list[ConcreteScenario], duration: float = 20.0) -> list[Recording | SimulationError]:
+    return list(Builtin(duration=duration).run(concretes))
 
 
 def look_in_each_frame(monkeypatch) -> None:
@@ -77,14 +77,14 @@ def test_random_storyboards_are_the_same_with_a_look_in_each_frame(seed, tmp_pat
     assert_same(recordings([ConcreteScenario(path, {})]), held, 1e-9)
 
 
-def test_any_number_of_threads_gives_the_same_bytes(monkeypatch):
-    concretes = drawn("x_intersection", 70)
+# One batch with up to 5 threads, and two batches with up to 2 threads each.
+@pytest.mark.parametrize("count", [170, 1030])
+def test_any_number_of_threads_gives_the_same_bytes(count, monkeypatch):
+    concretes = drawn("x_intersection", count)
     found = []
-    for threads, batch in ((1, 512), (2, 512), (5, 512), (2, 20), (3, 9)):
+    for threads in (1, 2, 5):
         monkeypatch.setattr(simulator, "count_available_cpus", lambda threads=threads: threads)
-        monkeypatch.setattr(stepper, "_MIN_SCENARIOS_PER_THREAD", 2)
-        monkeypatch.setattr(simulator, "_MIN_SCENARIOS_PER_BATCH", batch)
-        found.append(recordings(concretes))
+        found.append(recordings(concretes, duration=10.0))
     for other in found[1:]:
         assert_same(other, found[0], 0.0)
 
@@ -113,9 +113,8 @@ def test_who_interrupts_batches_beside_each_other_does_not_wait_for_their_end(mo
     monkeypatch.setattr(Storyboard, "evaluate_triggers", look)
     monkeypatch.setattr(Batch, "cancel", halt)
     monkeypatch.setattr(simulator, "count_available_cpus", lambda: 2)
-    monkeypatch.setattr(simulator, "_MIN_SCENARIOS_PER_BATCH", 2)
     with pytest.raises(KeyboardInterrupt):
-        recordings(drawn("t_intersection", 4))
+        recordings(drawn("t_intersection", 1024))
     assert len(looks) < 100
 
 

@@ -135,7 +135,9 @@ class Builtin(Simulator):
         if first_error is not None:
             raise first_error
 
-    def _split_by_memory(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Sequence[ConcreteScenario]]:
+    def _split_by_memory(
+        self, concretes: Sequence[ConcreteScenario], max_bytes: int = _MAX_BATCH_BYTES
+    ) -> Iterator[Sequence[ConcreteScenario]]:
         instants = int(self._duration / self._time_step) + 2
         begin, total, needed = 0, 0, 0
         previous: ConcreteScenario | None = None
@@ -143,7 +145,7 @@ class Builtin(Simulator):
             if previous is None or concrete.path is not previous.path or concrete.file is not previous.file:
                 needed = self._prepare(concrete).estimate_bytes(instants, bool(self._drivers))
             previous = concrete
-            if i > begin and (total + needed > _MAX_BATCH_BYTES or i - begin == _MAX_BATCH_SIZE):
+            if i > begin and (total + needed > max_bytes or i - begin == _MAX_BATCH_SIZE):
                 yield concretes[begin:i]
                 begin, total = i, 0
             total += needed
