@@ -186,8 +186,7 @@ def test_a_batch_that_costs_its_worker_is_run_one_by_one(on_cluster, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_simulator_goes_to_no_others_after_the_workers_that_offer_it_were_lost(client, tmp_path, monkeypatch):
-    monkeypatch.setattr(dask, "_WORKER_TIMEOUT", 1.0)
+def test_a_simulator_goes_to_no_others_after_the_workers_that_offer_it_were_lost(client, tmp_path):
     security = client.security
     for name, content in (
         ("ca", security.tls_ca_file),
@@ -203,7 +202,7 @@ def test_a_simulator_goes_to_no_others_after_the_workers_that_offer_it_were_lost
     with subprocess.Popen([*command, "--nthreads", "1", "--no-nanny", "--no-dashboard"], env=place) as special:
         client.wait_for_workers(3, timeout=60)
         plan = Plan(tmp_path, {1: ["hang"]})
-        with ClusterSimulator("inside", {"plan": plan}, client) as simulator:
+        with ClusterSimulator("inside", {"plan": plan}, client, worker_timeout=1.0) as simulator:
             assert places(simulator.run(fakes(1))) == [0]
             # The worker is lost while it runs the next scenario.
             threading.Timer(2.0, special.kill).start()
@@ -347,14 +346,13 @@ def reduced_by_hand(tmp_path):
         shutil.copy(one, tmp_path / "suite")
 
 
-def test_no_scheduler_is_told(tmp_path, monkeypatch):
-    monkeypatch.setattr(dask, "_ANSWER_TIMEOUT", 0.5)
+def test_no_scheduler_is_told(tmp_path):
     for given in ("tcp://127.0.0.1:9", "nowhere", str(tmp_path / "none.json")):
         with pytest.raises(InputError, match="no scheduler answers"):
-            create_simulator("builtin", {}, cluster=given)
+            dask.connect(given, answer_timeout=0.5)
     (tmp_path / "scheduler.json").write_text("{}")
     with pytest.raises(InputError, match="no scheduler answers"):
-        create_simulator("builtin", {}, cluster=str(tmp_path / "scheduler.json"))
+        dask.connect(str(tmp_path / "scheduler.json"), answer_timeout=0.5)
     with pytest.raises(InputError, match="`workers`: the cluster itself says how many"):
         create_simulator("builtin", {}, cluster="tcp://127.0.0.1:9", workers=2)
 
@@ -374,13 +372,12 @@ def test_another_program_that_listens_is_no_scheduler():
             create_simulator("builtin", {}, cluster=f"tcp://127.0.0.1:{other.getsockname()[1]}")
 
 
-def test_another_program_that_listens_and_is_silent_is_no_scheduler(monkeypatch):
-    monkeypatch.setattr(dask, "_ANSWER_TIMEOUT", 0.5)
+def test_another_program_that_listens_and_is_silent_is_no_scheduler():
     with (
         socket.create_server(("127.0.0.1", 0)) as other,
         pytest.raises(InputError, match="no scheduler answers"),
     ):
-        create_simulator("builtin", {}, cluster=f"tcp://127.0.0.1:{other.getsockname()[1]}")
+        dask.connect(f"tcp://127.0.0.1:{other.getsockname()[1]}", answer_timeout=0.5)
 
 
 def test_a_worker_of_another_version_is_told():

@@ -99,14 +99,14 @@ class SimulatorStream:
                 raise error
             return key, result
 
-    def close(self) -> None:
-        """Cancel unfinished work and end the threads; the simulators stay open."""
+    def close(self, cancel_timeout: float = _CANCEL_TIMEOUT) -> None:
+        """Cancel unfinished work and end the threads within `cancel_timeout` s; the simulators stay open."""
         self._closed = True
         for queue in self._queues.values():
             for _ in queue.threads:
                 queue.queue.put(None)
         busy = [entry for queue in self._queues.values() for entry in queue.threads]
-        deadline = time.monotonic() + _CANCEL_TIMEOUT
+        deadline = time.monotonic() + cancel_timeout
         while busy := [(thread, simulator) for thread, simulator in busy if thread.is_alive()]:
             if time.monotonic() > deadline:
                 return

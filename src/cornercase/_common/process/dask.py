@@ -28,8 +28,10 @@ if TYPE_CHECKING:
 LOCAL_CLUSTER: Final = "local"
 """Name of a cluster that is started on this machine."""
 
-# Seconds: timeout of a scheduler's answer, time that a cluster may have no workers, interval between checks.
-_ANSWER_TIMEOUT, _WORKER_TIMEOUT, _POLL_INTERVAL = 20.0, 120.0, 1.0
+WORKER_TIMEOUT: Final = 120.0
+"""Time in s that a cluster may have no workers."""
+# Seconds: timeout of a scheduler's answer, interval between checks.
+_ANSWER_TIMEOUT, _POLL_INTERVAL = 20.0, 1.0
 # Seconds to close a connection to a scheduler that may be unreachable.
 _CLOSE_TIMEOUT: Final = 10.0
 # Attempts to start a local cluster whose workers die.
@@ -56,10 +58,11 @@ def check_client(client: object) -> None:
         raise InputError(f"`client` {client}: give a distributed.Client; {describe_install('cluster')}.")
 
 
-def connect(cluster: str | Client, workers: int = 1) -> Client:
+def connect(cluster: str | Client, workers: int = 1, answer_timeout: float = _ANSWER_TIMEOUT) -> Client:
     """Connect to a Dask cluster: ``"local"`` (started here), an address, a scheduler file, or a client.
 
-    `InputError` if Dask is missing, no scheduler answers, or `workers` are given for a cluster that is not local.
+    `InputError` if Dask is missing, no scheduler answers within `answer_timeout` s, or `workers` are given for a
+    cluster that is not local.
     """
     cluster = check_cluster(cluster)
     if workers > 1 and cluster != LOCAL_CLUSTER:
@@ -86,8 +89,8 @@ def connect(cluster: str | Client, workers: int = 1) -> Client:
     try:
         address = str(json.loads(read_file(cluster))["address"] if is_file else cluster)
         _check_certificates(cluster, address)
-        _check_scheduler_answers(address)
-        return Client(address, timeout=_ANSWER_TIMEOUT)
+        _check_scheduler_answers(address, answer_timeout)
+        return Client(address, timeout=answer_timeout)
     except InputError:
         raise
     # An answer of another program may be read as the length of a message.
@@ -108,8 +111,8 @@ def _check_certificates(cluster: str, address: str) -> None:
         )
 
 
-def _check_scheduler_answers(address: str) -> None:
-    """Raise `InputError` unless a Dask scheduler answers at the address.
+def _check_scheduler_answers(address: str, timeout: float) -> None:
+    """Raise `InputError` unless a Dask scheduler answers at the address within `timeout` s.
 
     If another program listens there, a client would wait forever.
     """
@@ -118,13 +121,13 @@ def _check_scheduler_answers(address: str) -> None:
     from distributed.utils import LoopRunner, sync
 
     async def connect_and_close() -> None:
-        line = await greet(address, timeout=_ANSWER_TIMEOUT, **Security().get_connection_args("client"))
+        line = await greet(address, timeout=timeout, **Security().get_connection_args("client"))
         line.abort()
 
     runner = LoopRunner()
     runner.start()
     try:
-        sync(runner.loop, connect_and_close, callback_timeout=_ANSWER_TIMEOUT)
+        sync(runner.loop, connect_and_close, callback_timeout=timeout)
     finally:
         runner.stop()
 
@@ -260,16 +263,18 @@ def describe_cluster(client: Client) -> str:
     return str(scheduler.address) if scheduler is not None else "of Dask"
 
 
-def wait_for_workers(client: Client, resource: str | None = None) -> list[dict[str, Any]]:
-    """Wait up to two minutes for workers, and return their entries in `Client.scheduler_info`.
+def wait_for_workers(
+    client: Client, resource: str | None = None, timeout: float = WORKER_TIMEOUT
+) -> list[dict[str, Any]]:
+    """Wait up to `timeout` s for workers, and return their entries in `Client.scheduler_info`.
 
     If `resource` is given, only workers that offer this resource count.
     """
     start = time.monotonic()
-    while time.monotonic() - start <= _WORKER_TIMEOUT:
+    while time.monotonic() - start <= timeout:
         try:
             with suppress(TimeoutError):
-                client.wait_for_workers(1, timeout=_WORKER_TIMEOUT)
+                client.wait_for_workers(1, timeout=timeout)
             # A worker may be lost again before it is listed.
             if workers := _workers_with_resource(client, resource):
                 return workers
@@ -284,11 +289,13 @@ def _workers_with_resource(client: Client, resource: str | None) -> list[dict[st
     return [worker for worker in workers if resource is None or worker["resources"].get(resource, 0.0) >= 1.0]
 
 
-def wait_any(client: Client, futures: Collection[Future[Any]], resource: str | None = None) -> list[Future[Any]]:
+def wait_any(
+    client: Client, futures: Collection[Future[Any]], resource: str | None = None, timeout: float = WORKER_TIMEOUT
+) -> list[Future[Any]]:
     """Wait until at least one task has ended, and return all ended tasks.
 
-    `InputError` if there are no workers, or if the scheduler is lost. If `resource` is given, only workers that offer
-    this resource count.
+    `InputError` if there are no workers for `timeout` s, or if the scheduler is lost. If `resource` is given, only
+    workers that offer this resource count.
     """
     from distributed import wait
 
@@ -305,7 +312,7 @@ def wait_any(client: Client, futures: Collection[Future[Any]], resource: str | N
         except TimeoutError:
             if _workers_with_resource(client, resource):
                 last_seen = time.monotonic()
-            elif time.monotonic() - last_seen > _WORKER_TIMEOUT:
+            elif time.monotonic() - last_seen > timeout:
                 raise _no_workers_error(client, resource) from None
 
 

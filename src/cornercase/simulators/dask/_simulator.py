@@ -13,6 +13,7 @@ from weakref import WeakSet
 
 from cornercase._common.errors import InputError, RunLostError
 from cornercase._common.process.dask import (
+    WORKER_TIMEOUT,
     connect,
     describe_cluster,
     disconnect,
@@ -64,7 +65,8 @@ class ClusterSimulator(RemoteSimulator):
     If workers offer a resource with the simulator's name (``--resources "carla=1"``), only these workers get scenarios,
     at most as many at a time as the amount of the resource. `cluster` is ``"local"`` for `workers` processes on this
     machine, a scheduler's address or file, or a client that stays open. A scenario is run `retries` times more if its
-    worker was lost; `max_failures` consecutive losses end the run (0: no limit).
+    worker was lost; `max_failures` consecutive losses end the run (0: no limit). So do `worker_timeout` s without
+    workers.
     """
 
     def __init__(
@@ -76,9 +78,10 @@ class ClusterSimulator(RemoteSimulator):
         timeout: float | None = None,
         retries: int = 1,
         max_failures: int = DEFAULT_MAX_FAILURES,
+        worker_timeout: float = WORKER_TIMEOUT,
     ) -> None:
         super().__init__(name, options)
-        self._max_failures = max_failures
+        self._max_failures, self._worker_timeout = max_failures, worker_timeout
         self._batched = self.simulator_class.batched
         self._sent_bundles: dict[str, tuple[ScenarioBundle, Future[Any]]] = {}
         self._client = connect(cluster, workers)
@@ -119,7 +122,8 @@ class ClusterSimulator(RemoteSimulator):
                 while waiting:
                     task = waiting.popleft()
                     running[self._submit_task(task, concretes, resources)] = task
-                for future in wait_any(self._client, list(running), next(iter(resources), None)):
+                resource = next(iter(resources), None)
+                for future in wait_any(self._client, list(running), resource, self._worker_timeout):
                     self._collect_result(future, running.pop(future), waiting, done)
                 while n_yielded in done:
                     yield done.pop(n_yielded)
@@ -155,7 +159,7 @@ class ClusterSimulator(RemoteSimulator):
     def _count_slots(self) -> tuple[int, dict[str, float]]:
         """Return the number of tasks that can run at a time, and the worker resources that each task requires."""
         resource = self.name.partition(":")[0]
-        workers = wait_for_workers(self._client, self._required_resource)
+        workers = wait_for_workers(self._client, self._required_resource, self._worker_timeout)
         if offered := sum(int(worker["resources"].get(resource, 0.0)) for worker in workers):
             # Remembered even if all these workers are lost: others may lack what the resource stands for.
             self._required_resource = resource
