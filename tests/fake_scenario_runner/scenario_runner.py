@@ -200,6 +200,9 @@ class ScenarioRunner:
         if self.wrong == "agent prints much":
             print("words\n" * 300_000, flush=True)
             print("more words\n" * 300_000, flush=True)
+        if self.wrong == "agent prints without end":
+            # A gap in the file, which takes no space.
+            os.ftruncate(1, (1 << 30) + 1)
 
 
 def main():

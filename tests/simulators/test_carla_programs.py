@@ -16,6 +16,7 @@ from cornercase._common.errors import InputError, SimulationError, SimulatorErro
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import Carla
+from cornercase.simulators.carla._server_lock import ServerLock
 from helpers.carla_or_stand_in import AGAIN_IF_THE_CLIENT_CRASHES, REAL, Served
 from helpers.passing_cars import write_passing_cars
 from helpers.waiting import lives, until
@@ -114,14 +115,14 @@ def test_a_folder_that_cannot_be_written_is_said(server, scenario, tmp_path):
         run(make_simulator(server, folder=str(tmp_path / "taken")), scenario, STARTS[:1])
 
 
-def test_a_server_serves_one_search_at_a_time(server, scenario, monkeypatch):
-    monkeypatch.setattr("cornercase.simulators.carla._server_lock._TIMEOUT", 0.0)
+def test_a_server_serves_one_search_at_a_time(server, scenario):
     first, second = make_simulator(server), make_simulator(server)
     assert isinstance(run_one(first, scenario), Recording)
     with pytest.raises(
         InputError, match=f"Another cornercase process runs scenarios on CARLA on localhost:{server.port}; "
     ):
-        run_one(second, scenario)
+        # As a second search does, but without its patience.
+        ServerLock(server.host, server.port).acquire(timeout=0.0)
     first.close()
     # Nobody closes it, as its worker may be killed.
     assert isinstance(run_one(second, scenario), Recording)

@@ -9,7 +9,6 @@ import sys
 import threading
 import time
 from contextlib import closing, suppress
-from functools import partialmethod
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -61,8 +60,13 @@ def project(tmp_path):
 @pytest.fixture
 def quick(monkeypatch):
     """Short time-outs, since the awaited event never comes."""
-    monkeypatch.setattr(TclTestRun, "__init__", partialmethod(TclTestRun.__init__, start_timeout=0.6))
-    monkeypatch.setattr("cornercase.simulators.carmaker._simulator.START_TIMEOUT", -59.5)
+    plain = TclTestRun.__init__
+
+    def init(self, client, project, run_timeout, quantities, **options):
+        assert run_timeout == 120.0
+        plain(self, client, project, 0.5, quantities, start_timeout=0.6, **options)
+
+    monkeypatch.setattr(TclTestRun, "__init__", init)
 
 
 def run(project, port, values=None, **options):
@@ -493,10 +497,9 @@ def test_what_goes_wrong_by_ipgs_module_is_one_sentence(cmapi, project, wrong, k
     control.close()
 
 
-def test_a_module_that_does_not_answer_is_said(cmapi, project, monkeypatch):
-    monkeypatch.setattr("cornercase.simulators.carmaker._cmapi_client._END_TIMEOUT", 0.3)
+def test_a_module_that_does_not_answer_is_said(cmapi, project):
     cmapi("deaf")
-    control = CmapiClient(project, "Crossing", 2.0)
+    control = CmapiClient(project, "Crossing", 2.0, end_timeout=0.3)
     with pytest.raises(SimulatorError, match=r"CarMaker, does not answer$"):
         control.run_testrun("Crossing", {"ego_speed": 7.0})
     control.close()
@@ -510,10 +513,9 @@ def test_a_run_of_somebody_else_is_stopped_before_ours_is_configured(cmapi, proj
     control.close()
 
 
-def test_a_carmaker_that_does_not_come_to_rest_is_left(cmapi, project, monkeypatch):
-    monkeypatch.setattr("cornercase.simulators.carmaker._cmapi_client._END_TIMEOUT", 0.3)
+def test_a_carmaker_that_does_not_come_to_rest_is_left(cmapi, project):
     cmapi("restless")
-    control = CmapiClient(project, "Crossing", 60.0)
+    control = CmapiClient(project, "Crossing", 60.0, end_timeout=0.3)
     with pytest.raises(SimulatorError, match="did not become idle within"):
         control.run_testrun("Crossing", {"ego_speed": 7.0})
     control.close()
@@ -537,10 +539,9 @@ def test_a_testrun_that_is_not_there_is_said(cmapi, project):
         CmapiClient(project, "Nowhere", 60.0)
 
 
-def test_a_carmaker_that_does_not_end_is_ended_by_force(cmapi, project, monkeypatch):
-    monkeypatch.setattr("cornercase.simulators.carmaker._cmapi_client._END_TIMEOUT", 0.3)
+def test_a_carmaker_that_does_not_end_is_ended_by_force(cmapi, project):
     cmapi("stays")
-    control = CmapiClient(project, "Crossing", 60.0)
+    control = CmapiClient(project, "Crossing", 60.0, end_timeout=0.3)
     process = control._master.process
     control.close()
     assert process.wait(120) is not None

@@ -26,8 +26,8 @@ class ServerLock:
         self._host, self._port = "localhost" if host in _LOCAL_HOSTS else host, port
         self._finalizer: finalize[[int], ServerLock] | None = None
 
-    def acquire(self) -> None:
-        """Reserve the server; raise `InputError` if another worker still uses it after 10 s.
+    def acquire(self, timeout: float = _TIMEOUT) -> None:
+        """Reserve the server; raise `InputError` if another worker still uses it after `timeout` s.
 
         Does nothing if this object has reserved the server already.
         """
@@ -40,7 +40,7 @@ class ServerLock:
         except OSError:
             # Without a folder for the lock there is no protection.
             return
-        deadline = time.monotonic() + _TIMEOUT
+        deadline = time.monotonic() + timeout
         while not try_lock_file(handle):
             if time.monotonic() > deadline:
                 os.close(handle)

@@ -31,15 +31,15 @@ class CmapiClient:
     """Client that starts CarMaker once by IPG's Python module, and runs TestRuns with named values.
 
     `project`: folder of the CarMaker project. `testrun`: TestRun with which CarMaker is started. `timeout`: time limit
-    in s of the start and of each run. The event loop of IPG's module runs in a thread of its own. Raises `InputError`
-    if CarMaker does not start.
+    in s of the start and of each run. `end_timeout`: time limit in s for stopping a run, and for the end of CarMaker.
+    The event loop of IPG's module runs in a thread of its own. Raises `InputError` if CarMaker does not start.
     """
 
-    def __init__(self, project: Path, testrun: str, timeout: float) -> None:
+    def __init__(self, project: Path, testrun: str, timeout: float, end_timeout: float = _END_TIMEOUT) -> None:
         import cmapi
 
         self._cmapi: Any = cmapi
-        self._project, self._timeout = project, timeout
+        self._project, self._timeout, self._end_timeout = project, timeout, end_timeout
         self._first_testrun = testrun
         self._started: Future[None] = Future()
         self._thread = threading.Thread(target=self._run_event_loop, daemon=True)
@@ -85,7 +85,7 @@ class CmapiClient:
     async def _end_carmaker(self) -> None:
         """End the CarMaker that was started here, by force if IPG's module fails, so that its licence is released."""
         try:
-            await asyncio.wait_for(_await_if_awaitable(self._control.stop_and_disconnect()), _END_TIMEOUT)
+            await asyncio.wait_for(_await_if_awaitable(self._control.stop_and_disconnect()), self._end_timeout)
         except Exception:
             with suppress(Exception):
                 os.kill(int(self._master.get_pid()), signal.SIGTERM)
@@ -114,7 +114,7 @@ class CmapiClient:
         future = asyncio.run_coroutine_threadsafe(self._run_testrun_async(testrun, values, quantities), self._loop)
         try:
             # The coroutine stops the run after `timeout`; this time limit is for a module that does not answer.
-            future.result(2 * self._timeout + _END_TIMEOUT)
+            future.result(2 * self._timeout + self._end_timeout)
         except SimulationError:
             raise
         except TimeoutError as error:
@@ -136,7 +136,7 @@ class CmapiClient:
         control, states = self._control, self._cmapi.ConditionSimState
         # A variation is accepted only in the state `configure`: not while a run is active, or ended without being left.
         if control.get_status() != self._cmapi.SimControlState.configure and not await self._stop_run():
-            raise SimulatorError(f"CarMaker did not become idle within {_END_TIMEOUT:g} s")
+            raise SimulatorError(f"CarMaker did not become idle within {self._end_timeout:g} s")
         variation = self._make_variation(testrun, values, quantities)
         control.set_variation(variation)
         await control.start_sim()
@@ -159,7 +159,7 @@ class CmapiClient:
         await _await_if_awaitable(self._control.stop_sim())
         idle = self._control.create_simstate_condition(self._cmapi.ConditionSimState.idle)
         with suppress(TimeoutError):
-            await asyncio.wait_for(idle.wait(), _END_TIMEOUT)
+            await asyncio.wait_for(idle.wait(), self._end_timeout)
             return True
         return False
 
@@ -168,7 +168,7 @@ class CmapiClient:
         # If the start failed, the loop has ended already.
         with suppress(AttributeError, RuntimeError):
             self._loop.call_soon_threadsafe(self._end_event.set)
-        self._thread.join(2 * _END_TIMEOUT)
+        self._thread.join(2 * self._end_timeout)
 
 
 async def _await_if_awaitable(result: Any) -> None:
