@@ -7,7 +7,7 @@ import pytest
 from conftest import ROAD, car, scenario_file, speed_action, teleport
 from cornercase import check, convert
 from cornercase._common.errors import InputError
-from cornercase.roads import _lane_path as lane_path
+from cornercase.roads._lane_path import LanePath
 from cornercase.roads._network import RoadNetwork
 from cornercase.roads._unsupported import list_unsupported
 from cornercase.scenario._xml import read_xml
@@ -69,10 +69,24 @@ def test_what_is_missing_of_a_road_is_named(tmp_path, old, new, what):
     assert [one.parts for one in list_unsupported(root, path, network, fully_read=False)] == [(what,)]
 
 
-def test_a_lane_that_swings_to_and_fro_is_sampled_more_coarsely(tmp_path, monkeypatch):
-    monkeypatch.setattr(lane_path, "_MAX_SAMPLES", 1000)
-    path = RoadNetwork.read(written(tmp_path, "<line/>", "<line/>")).lane_path_from(0, -1, 0.0, True)
-    assert path is not None
+def test_a_lane_that_swings_to_and_fro_is_sampled_more_coarsely(tmp_path):
+    fine = RoadNetwork.read(written(tmp_path, "<line/>", "<line/>")).lane_path_from(0, -1, 0.0, True)
+    assert fine is not None
+    assert len(fine.x) > 1000
+    path = LanePath.from_points(
+        fine.x,
+        fine.y,
+        fine.s,
+        fine.road,
+        fine.lane,
+        fine.forward,
+        fine.goals_passed,
+        fine.reference_distance,
+        fine.center_offset,
+        fine.curvature_distance,
+        fine.reference_curvature,
+        max_samples=1000,
+    )
     assert len(path.x) == 1000
     assert path.distance[-1] == pytest.approx(500.0)
 

@@ -99,6 +99,8 @@ class LanePath:
         curvature_distance: FloatArray,
         reference_curvature: FloatArray,
         is_after_jump: BoolArray | None = None,
+        *,
+        max_samples: int = _MAX_SAMPLES,
     ) -> LanePath:
         """Create a path through Q points that are close together; arrays as in the attributes, shape (Q,).
 
@@ -113,7 +115,7 @@ class LanePath:
         travelled = _distances_along_line(x, y, reference_distance, is_after_jump)
         # Points at the same distance along the line would have no direction.
         chords = _distances_along_line(x, y, reference_distance, np.zeros_like(is_after_jump))
-        samples = min(int(np.ceil(travelled[-1] / SAMPLE_DISTANCE)) + 1, _MAX_SAMPLES)
+        samples = min(int(np.ceil(travelled[-1] / SAMPLE_DISTANCE)) + 1, max_samples)
         distance = np.linspace(0.0, travelled[-1], max(3, samples))
         nearest = np.clip(np.searchsorted(travelled, distance, "right") - 1, 0, len(x) - 1)
         # On a bend, interpolate on the arc instead of the chord.
