@@ -14,6 +14,7 @@ from cornercase._common.errors import InputError
 from cornercase.recordings import read_recording
 from cornercase.scenario import ParameterSpace
 from cornercase.study import StudyFile, write_note
+from cornercase.study._database import open_note_transaction
 from cornercase.study._notes import MAX_NOTE_LENGTH
 from helpers.synthetic_study import about
 from helpers.untrusted_files import change
@@ -105,12 +106,11 @@ def small_recording(tmp_path):
     return read_recording(tmp_path / "r.csv")
 
 
-def test_a_writer_that_does_not_end_is_not_waited_for_forever(explored, monkeypatch):
-    monkeypatch.setattr("cornercase.study._database._NOTE_TIMEOUT", 0.1)
+def test_a_writer_that_does_not_end_is_not_waited_for_forever(explored):
     with closing(sqlite3.connect(explored.path, isolation_level=None)) as stuck:
         stuck.execute("BEGIN IMMEDIATE")
-        with pytest.raises(InputError, match="locked"):
-            write_note(explored.path, 1, "x")
+        with pytest.raises(InputError, match="locked"), open_note_transaction(explored.path, timeout=0.1):
+            pass
 
 
 @pytest.mark.parametrize("value", ["zeroblob(5)", f"printf('%.{MAX_NOTE_LENGTH + 1}c', 'x')"])

@@ -305,10 +305,9 @@ def edit(file: Path) -> None:
 @pytest.mark.usefixtures("no_cache")
 def test_a_changed_file_of_the_same_name_does_not_hide_the_one_that_was_explored(tmp_path, monkeypatch):
     """The study does not hold the path, but this machine remembers it; a copy lies one folder below the study."""
-    (explored, here, other) = (tmp_path / "a" / "scenarios", tmp_path / "b" / "here", tmp_path / "c" / "other")
+    (explored, here, other) = (tmp_path / "a" / "scenarios", tmp_path / "b" / "1" / "2" / "here", tmp_path / "c")
     for folder in (explored, here / "sub", other):
         shutil.copytree(X.parent, folder)
-    monkeypatch.setattr("cornercase.study._stored_paths._MAX_PARENT_STEPS", 0)
     monkeypatch.chdir(here)
     study = here / "s.db"
     search = ("explore", explored / X.name, "--space", explored / SPACE.name, *SEARCH)
@@ -333,10 +332,10 @@ def test_a_changed_file_of_the_same_name_does_not_hide_the_one_that_was_explored
 
 @pytest.mark.usefixtures("no_cache")
 def test_a_file_that_cannot_be_read_is_passed_over_and_named_where_no_other_is_found(tmp_path, monkeypatch):
-    explored, beside = tmp_path / "a", tmp_path / "b"
+    # The study lies so deep that it does not hold the path.
+    explored, beside = tmp_path / "a", tmp_path / "b" / "1" / "2" / "3"
     for folder in (explored, beside / "sub"):
         shutil.copytree(X.parent, folder)
-    monkeypatch.setattr("cornercase.study._stored_paths._MAX_PARENT_STEPS", 0)
     monkeypatch.chdir(tmp_path)
     study = beside / "s.db"
     search = ("explore", explored / X.name, "--space", explored / SPACE.name, *SEARCH)

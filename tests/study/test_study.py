@@ -21,7 +21,6 @@ from cornercase.recordings import Collision, Recording, read_recording
 from cornercase.recordings._recording import MOTION_ARRAYS
 from cornercase.scenario import Constraint, ParameterDeclaration, ParameterSpace
 from cornercase.study import StudyFile
-from cornercase.study import _arrays as stored_arrays
 from helpers.checksums import reseal
 from helpers.synthetic_study import about
 
@@ -192,10 +191,11 @@ def test_no_value_in_the_file_grows_with_the_number_of_pairs(tmp_path):
 
 @pytest.mark.parametrize("count", [1, 2, 255, 256, 257, 700])
 @pytest.mark.parametrize("kind", ["<f8", "<f4"])
-def test_half_of_the_distances_gives_back_all(study, count, kind, monkeypatch):
-    monkeypatch.setattr(stored_arrays, "_PIECE_BYTES", 10_000)
+def test_half_of_the_distances_gives_back_all(study, count, kind):
     points = np.random.default_rng(count).random((count, 2))
     study.writer.add_pending(2, points, SPACE.values(points))
+    # Pieces have half of it.
+    study._database.connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, 20_000)
     distances = cdist(points, points).astype(kind)
     study.writer.save_analysis("wttc", {"ids": np.arange(count), "distances": distances}, {})
     found = study.read_analysis("wttc", "distances")[0]["distances"]

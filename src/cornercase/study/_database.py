@@ -278,10 +278,10 @@ def create_tables(connection: sqlite3.Connection, *extra_tables: str) -> None:
 
 
 @contextmanager
-def open_note_transaction(path: Path) -> Iterator[sqlite3.Connection]:
+def open_note_transaction(path: Path, timeout: float = _NOTE_TIMEOUT) -> Iterator[sqlite3.Connection]:
     """Open a short transaction that needs no lease (exclusive right), so that notes can be written during a search.
 
-    SQLite lets only one transaction write at a time; another transaction waits.
+    SQLite lets only one transaction write at a time; another transaction waits up to `timeout` s.
     """
     reader = Database.open(path, readonly=True)
     can_write = reader.data_version() is not None
@@ -293,7 +293,7 @@ def open_note_transaction(path: Path) -> Iterator[sqlite3.Connection]:
     with (
         reraise_sqlite_errors(path),
         add_path_to_damage(path),
-        closing(open_connection(path, _NOTE_TIMEOUT)) as connection,
+        closing(open_connection(path, timeout)) as connection,
     ):
         connection.execute("PRAGMA trusted_schema = OFF")
         require_known_tables(path, connection)
