@@ -17,6 +17,7 @@ from cornercase.cli import app
 from cornercase.drivers import NORMAL, BehaviourDriver
 from cornercase.report import write_comparison
 from cornercase.report.comparison import _comparison_page as versions_page
+from cornercase.study import StudyFile
 
 DECLARED = re.compile(r"^(?:async )?(?:function\*? |class |const |let |var )([A-Za-z_$][\w$]*)", re.MULTILINE)
 
@@ -130,11 +131,9 @@ def test_it_says_what_to_fix_and_what_was_not_tested(found, page):
     assert "Anything outside of the ranges of the parameters" in steps
 
 
-def test_the_most_important_replays_stay_where_all_are_too_many(versions, found, tmp_path, monkeypatch):
-    from cornercase.report.comparison import _replayed_pairs
-
-    monkeypatch.setattr(_replayed_pairs, "_MAX_CHARACTERS", 1)
-    page = page_of(versions, tmp_path / "page.html").read_text(encoding="utf-8")
+def test_the_most_important_replays_stay_where_all_are_too_many(versions, found):
+    with StudyFile.open(versions[0]) as old, StudyFile.open(versions[1]) as new:
+        page = versions_page._render_page(found, old, new, None, max_characters=1)
     first = found.examples[0].pair.ids
     assert set(re.findall(r'href="#pair=(\d+),(\d+)"', page)) == {tuple(map(str, first))}
     n_differing = sum(pair.run != "the same" for pair in found.pairs)

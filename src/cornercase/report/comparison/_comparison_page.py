@@ -17,7 +17,7 @@ from cornercase.report._road_drawing import encode_road_outline, find_road_outli
 from cornercase.report.comparison._charts import draw_charts
 from cornercase.report.comparison._next_steps import describe_next_steps
 from cornercase.report.comparison._origins import describe_origins
-from cornercase.report.comparison._replayed_pairs import ReplayedPairs, read_replayed_pairs
+from cornercase.report.comparison._replayed_pairs import MAX_CHARACTERS, ReplayedPairs, read_replayed_pairs
 from cornercase.report.html._templates import render_template, write_page
 from cornercase.scenario._file import ScenarioFile
 from cornercase.study import StudyFile
@@ -82,9 +82,13 @@ def write_comparison(
 
 
 def _render_page(
-    comparison: Comparison, old: StudyFile, new: StudyFile, scenario: Path | str | ScenarioFile | None
+    comparison: Comparison,
+    old: StudyFile,
+    new: StudyFile,
+    scenario: Path | str | ScenarioFile | None,
+    max_characters: int = MAX_CHARACTERS,
 ) -> str:
-    replayed = read_replayed_pairs(comparison, old, new)
+    replayed = read_replayed_pairs(comparison, old, new, max_characters)
     sections = {section.key: section for section in describe_comparison(comparison)}
     changes = sections["changes"]
     contents = (

@@ -18,8 +18,8 @@ from cornercase.report._event_payload import find_events_of_scenario
 from cornercase.study import StudyFile
 from cornercase.suite import Comparison, ScenarioPair
 
-# Recordings beyond this size are left out; the examples and the scenarios that the verdict names come first.
-_MAX_CHARACTERS: Final = 8_000_000
+MAX_CHARACTERS: Final = 8_000_000
+"""Size beyond which recordings are left out; the examples and the scenarios that the verdict names come first."""
 # Distance in m between the positions of an entity in both runs from which the runs count as different.
 _MIN_DISTANCE: Final = 0.1
 # Number of scenarios that a list names; the rest is hidden until the user opens it.
@@ -77,11 +77,13 @@ class ReplayedPairs:
         return Markup(_LISTED.sub(link_list, str(escape(sentence))))
 
 
-def read_replayed_pairs(comparison: Comparison, old: StudyFile, new: StudyFile) -> ReplayedPairs:
-    """Read the recordings of all pairs of scenarios that differ, the most important first, up to about 8 MB."""
+def read_replayed_pairs(
+    comparison: Comparison, old: StudyFile, new: StudyFile, max_characters: int = MAX_CHARACTERS
+) -> ReplayedPairs:
+    """Read the recordings of pairs of scenarios that differ, most important first, up to about `max_characters`."""
     replayed, size = ReplayedPairs(), 0
     for pair in _order_pairs(comparison):
-        if size > _MAX_CHARACTERS:
+        if size > max_characters:
             replayed.n_left_out += 1
             continue
         number = 2 * len(replayed.pairs) + 1
