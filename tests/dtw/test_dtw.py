@@ -110,10 +110,10 @@ def test_single_precision_keeps_digits_far_from_the_origin():
 
 
 @pytest.mark.parametrize("options", [{}, {"window": 5}, {"dtype": "float32"}, {"local_cost": "squared"}])
-def test_bits_do_not_depend_on_threads_or_order(options, monkeypatch):
-    monkeypatch.setattr(cpu, "TILE_CELLS", 20_000)
+def test_bits_do_not_depend_on_threads_or_order(options):
     rng = np.random.default_rng(0)
-    series = [rng.normal(size=(rng.integers(1, 60), 2)) for _ in range(50)]
+    # So many points that each block is divided into several tiles.
+    series = [rng.normal(size=(rng.integers(1, 300), 2)) for _ in range(100)]
     once = distance_matrix(series, n_jobs=1, **options)
     for threads in (2, 5):
         assert distance_matrix(series, n_jobs=threads, **options).tobytes() == once.tobytes()
@@ -160,8 +160,7 @@ def test_a_process_that_finds_the_compiled_kernels_gives_the_same(tmp_path):
     assert ended[1].stderr == ""
 
 
-def test_interrupt_ends_between_tiles(monkeypatch):
-    monkeypatch.setattr(cpu, "TILE_CELLS", 100_000)
+def test_interrupt_ends_between_tiles():
     series = list(np.random.default_rng(0).normal(size=(600, 200)))
     distance_matrix(series[:3])
     started: list[bool] = []

@@ -10,10 +10,10 @@ import pytest
 
 from cornercase._common.errors import InputError
 from cornercase.dtw import _dask_tiles as dask_tiles
-from cornercase.dtw import _disk as disk
 from cornercase.dtw import _pairs as pairs
 from cornercase.dtw import distance_matrix, distances_to
 from cornercase.dtw._pairs import DtwSettings
+from helpers.matrix_file import fill_small_squares
 
 distributed = pytest.importorskip("distributed")
 
@@ -49,9 +49,8 @@ def test_distances_to_landmarks_are_those_of_one_process_to_the_bit(client):
 
 
 def test_a_matrix_on_disk_goes_on_where_it_was_ended(client, tmp_path, monkeypatch):
-    monkeypatch.setattr(disk, "SIDE", 16)
     series, computed = walks(70), []
-    here = distance_matrix(series, out=tmp_path / "here.npy")
+    here = fill_small_squares(series, tmp_path / "here.npy")
     plain = dask_tiles.ClusterTiles.iter_squares
 
     def ends(self, wanted):
@@ -66,9 +65,9 @@ def test_a_matrix_on_disk_goes_on_where_it_was_ended(client, tmp_path, monkeypat
 
     monkeypatch.setattr(dask_tiles.ClusterTiles, "iter_squares", ends)
     with pytest.raises(KeyboardInterrupt):
-        distance_matrix(series, out=tmp_path / "there.npy", client=client)
+        fill_small_squares(series, tmp_path / "there.npy", client=client)
     monkeypatch.setattr(dask_tiles.ClusterTiles, "iter_squares", counted)
-    there = distance_matrix(series, out=tmp_path / "there.npy", resume=True, client=client)
+    there = fill_small_squares(series, tmp_path / "there.npy", resume=True, client=client)
     assert here.tobytes() == there.tobytes()
     assert (tmp_path / "here.npy").read_bytes() == (tmp_path / "there.npy").read_bytes()
     # Of 15 squares of 5 bands, 4 were there.

@@ -9,17 +9,10 @@ import numpy as np
 import pytest
 
 from cornercase._common.errors import InputError
-from cornercase.dtw import _disk as disk
 from cornercase.dtw import _pairs as pairs
 from cornercase.dtw import distance_matrix
+from helpers.matrix_file import SIDE, fill_small_squares
 from helpers.waiting import until
-
-SIDE = 16
-
-
-@pytest.fixture(autouse=True)
-def small_squares(monkeypatch):
-    monkeypatch.setattr(disk, "SIDE", SIDE)
 
 
 def random_walks(n, seed=0, longest=40):
@@ -36,7 +29,7 @@ def progress_of(path):
 def test_a_file_holds_the_matrix_to_the_bit(tmp_path, n, options):
     series = random_walks(n)
     path = tmp_path / "matrix.npy"
-    written = distance_matrix(series, out=path, **options)
+    written = fill_small_squares(series, path, **options)
     expected = distance_matrix(series, **options)
     assert isinstance(written, np.memmap)
     assert written.dtype == expected.dtype
@@ -61,13 +54,15 @@ def test_goes_on_after_being_killed(tmp_path, monkeypatch):
     path = tmp_path / "matrix.npy"
     np.savez(tmp_path / "series.npz", *series)
     program = (
-        "import itertools, sys, time, numpy as np; from cornercase.dtw import _disk as disk, distance_matrix; "
-        f"disk.SIDE = {SIDE}; stored = np.load(sys.argv[1]); number, check = itertools.count(), disk._checksum; "
+        "import itertools, sys, time, numpy as np; from cornercase.dtw import _disk as disk; "
+        "from helpers.matrix_file import fill_small_squares; "
+        "stored = np.load(sys.argv[1]); number, check = itertools.count(), disk._checksum; "
         # It waits to be killed before it records the eighth square.
         "disk._checksum = lambda square: (time.sleep(600 * (next(number) == 7)), check(square))[1]; "
-        "distance_matrix([stored[f'arr_{i}'] for i in range(200)], out=sys.argv[2])"
+        "fill_small_squares([stored[f'arr_{i}'] for i in range(200)], sys.argv[2])"
     )
-    child = subprocess.Popen([sys.executable, "-c", program, str(tmp_path / "series.npz"), str(path)])
+    command = [sys.executable, "-c", program, str(tmp_path / "series.npz"), str(path)]
+    child = subprocess.Popen(command, env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)})
     progress = progress_of(path)
     until(lambda: child.poll() is not None or (progress.exists() and progress.read_bytes().count(b"\n") > 6))
     child.kill()
@@ -93,7 +88,7 @@ def test_goes_on_after_being_killed(tmp_path, monkeypatch):
         return alone(*given)
 
     monkeypatch.setattr(pairs, "compute_distances", counted)
-    resumed = distance_matrix(series, out=path, resume=True)
+    resumed = fill_small_squares(series, path, resume=True)
     assert len(computed) == 13 * 14 // 2 - len(set(squares))
     assert np.array_equal(resumed, whole)
     assert len(set(progress.read_text().splitlines()[1:])) == 13 * 14 // 2
@@ -103,7 +98,7 @@ def test_goes_on_after_being_killed(tmp_path, monkeypatch):
 def test_what_is_not_as_it_was_noted_is_computed_again(tmp_path, damage):
     series = random_walks(40)
     path = tmp_path / "matrix.npy"
-    expected = np.array(distance_matrix(series, out=path))
+    expected = np.array(fill_small_squares(series, path))
     data = bytearray(path.read_bytes())
     progress = progress_of(path)
     if damage == "cut":
@@ -118,7 +113,7 @@ def test_what_is_not_as_it_was_noted_is_computed_again(tmp_path, damage):
         first, *squares = progress.read_text().splitlines()
         progress.write_text("\n".join([first, *squares[1:], *squares[:1], "0 2 17", "a b c"]) + "\n")
     path.write_bytes(bytes(data))
-    assert np.array_equal(distance_matrix(series, out=path, resume=True), expected)
+    assert np.array_equal(fill_small_squares(series, path, resume=True), expected)
     # And is complete from then on.
     assert np.array_equal(np.load(path), expected)
 
@@ -127,18 +122,18 @@ def test_resume_begins_where_nothing_is(tmp_path):
     series = random_walks(20)
     expected = distance_matrix(series)
     path = tmp_path / "matrix.npy"
-    assert np.array_equal(distance_matrix(series, out=path, resume=True), expected)
+    assert np.array_equal(fill_small_squares(series, path, resume=True), expected)
     # The matrix is lost, its journal is not.
     path.unlink()
-    assert np.array_equal(distance_matrix(series, out=path, resume=True), expected)
+    assert np.array_equal(fill_small_squares(series, path, resume=True), expected)
     # Ended before the file had its size.
     progress = progress_of(path)
     progress.write_text(progress.read_text().splitlines()[0] + "\n")
     path.write_bytes(b"")
-    assert np.array_equal(distance_matrix(series, out=path, resume=True), expected)
+    assert np.array_equal(fill_small_squares(series, path, resume=True), expected)
     # Ended before the first line was written.
     progress.write_bytes(b"")
-    assert np.array_equal(distance_matrix(series, out=path, resume=True), expected)
+    assert np.array_equal(fill_small_squares(series, path, resume=True), expected)
 
 
 def test_does_not_mix_matrices(tmp_path):
@@ -215,4 +210,4 @@ def test_space_is_taken_before_it_is_written_into(tmp_path, monkeypatch):
 def test_names_the_pair_that_is_too_large(tmp_path):
     series = [[0.0]] * 20 + [[1e200]]
     with pytest.raises(InputError, match="series 0 and 20 is too large"):
-        distance_matrix(series, local_cost="squared", out=tmp_path / "matrix.npy")
+        fill_small_squares(series, tmp_path / "matrix.npy", local_cost="squared")

@@ -48,18 +48,19 @@ def fill_matrix_file(
     settings: DtwSettings,
     report_progress: Callable[[int], None],
     client: Client | None = None,
+    side: int = SIDE,
 ) -> FloatMap:
     """Compute the distances between validated series into a file; return a memmap of the file, shape (n, n).
 
     `out` is the path of a new file, or a memmap of an existing file. With `resume`, finished squares (blocks) in the
     file are not computed again. With a Dask `client`, the Dask cluster computes the squares, and this process writes
-    them. Raises `InputError` if `out` does not fit, exists without `resume`, belongs to other series or settings, or
-    lacks space.
+    them. A square has `side` series per side. Raises `InputError` if `out` does not fit, exists without `resume`,
+    belongs to other series or settings, or lacks space.
     """
     size = len(series)
     path = Path(_path_of_memmap(out, size, settings.dtype) if isinstance(out, np.memmap) else out)
     journal = path.with_name(path.name + ".progress")
-    fingerprint = _fingerprint(series, settings)
+    fingerprint = _fingerprint(series, settings, side)
     if isinstance(out, np.memmap):
         if not resume:
             journal.unlink(missing_ok=True)
@@ -80,7 +81,7 @@ def fill_matrix_file(
                 path.unlink()
                 journal.unlink()
             raise
-        _compute_missing_squares(view, series, journal, checksums, settings, report_progress, client)
+        _compute_missing_squares(view, series, journal, checksums, settings, report_progress, client, side)
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror}).") from error
     return view
@@ -94,8 +95,9 @@ def _compute_missing_squares(
     settings: DtwSettings,
     report_progress: Callable[[int], None],
     client: Client | None,
+    side: int,
 ) -> None:
-    bands = [range(first, min(first + SIDE, len(series))) for first in range(0, len(series), SIDE)]
+    bands = [range(first, min(first + side, len(series))) for first in range(0, len(series), side)]
     parts = [[series[i] for i in band] for band in bands]
     missing = []
     for a in range(len(bands)):
@@ -231,7 +233,7 @@ def _open_matching_journal(journal: Path, fingerprint: str) -> dict[tuple[int, i
     return checksums
 
 
-def _fingerprint(series: Sequence[Floats], settings: DtwSettings) -> str:
+def _fingerprint(series: Sequence[Floats], settings: DtwSettings, side: int) -> str:
     digest = hashlib.sha256()
     for values in series:
         digest.update(repr(values.shape).encode())
@@ -239,5 +241,5 @@ def _fingerprint(series: Sequence[Floats], settings: DtwSettings) -> str:
     cost = "squared" if settings.squared else "euclidean"
     return (
         f"cornercase-dtw 2 {digest.hexdigest()} {len(series)} {cost} window={settings.window} "
-        f"{settings.dtype} {settings.device} side={SIDE}"
+        f"{settings.dtype} {settings.device} side={side}"
     )
