@@ -33,7 +33,7 @@ from scipy.spatial import cKDTree
 from scipy.stats import qmc
 
 from cornercase.evidence._critical_set_estimate import MIN_REGION_FRACTION, CriticalSet
-from cornercase.evidence.gp._process import encode_points
+from cornercase.evidence.gp._gaussian_process import encode_points
 from cornercase.exploration._stop_criteria import StopCriteria
 from cornercase.exploration._study_critical_set import audit_sampler, is_score_independent
 from cornercase.optimizers import OPTIMIZERS

@@ -30,7 +30,7 @@ import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
 from cornercase.evidence._multi_fidelity import SourceStudyModel
-from cornercase.evidence.gp._process import encode_points
+from cornercase.evidence.gp._gaussian_process import encode_points
 from cornercase.metrics import registered_features
 from cornercase.optimizers import Auto, Sobol
 from cornercase.study._criterion import Criterion

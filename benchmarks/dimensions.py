@@ -24,7 +24,7 @@ import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
 from cornercase.evidence._critical_set_estimate import CriticalSet
-from cornercase.exploration._study_critical_set import is_judged_with_features, is_score_independent
+from cornercase.exploration._study_critical_set import is_score_independent, uses_features_for_critical_set
 from cornercase.metrics import METRICS, compute_features, registered_features
 from cornercase.scenario import LogicalScenario
 from cornercase.simulators import Builtin
@@ -94,7 +94,7 @@ class Judge:
         known = CriticalSet(
             self.space, points, scores, Criterion(self.case.critical), seed,
             initial_design=is_score_independent(kind.partition(" ")[0], self.space, seed, points),
-            features=(registered_features(), features) if is_judged_with_features(kind, len(points)) else None,
+            features=(registered_features(), features) if uses_features_for_critical_set(kind, len(points)) else None,
         )  # fmt: skip
         told, true = known.predict(self.points), self.critical
         recall, precision = (float((told & true).sum() / max(count.sum(), 1)) for count in (true, told))

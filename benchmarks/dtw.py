@@ -33,7 +33,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cornercase._common.platform import count_available_cpus
-from cornercase.dtw import _disk as disk
+from cornercase.dtw import _matrix_file as disk
 from cornercase.dtw import distance_matrix
 
 Series = list[npt.NDArray[np.float64]]

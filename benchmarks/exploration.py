@@ -46,7 +46,7 @@ from threadpoolctl import threadpool_limits
 from cornercase import LogicalScenario
 from cornercase.evidence._critical_set_estimate import CriticalSet
 from cornercase.exploration._asynchronous import max_pending_scenarios
-from cornercase.exploration._study_critical_set import is_judged_with_features, is_score_independent
+from cornercase.exploration._study_critical_set import is_score_independent, uses_features_for_critical_set
 from cornercase.metrics import METRICS, compute_features, registered_features
 from cornercase.optimizers import (
     Auto,
@@ -262,7 +262,9 @@ class Judge:
         row = {"regions": len(hit) / max(len(self.large), 1), "best": float(np.nanmin(self.scores[places]))}
         row |= self.found(places, seed)
         features = (
-            (registered_features(), self.features[places]) if is_judged_with_features(kind, len(points)) else None
+            (registered_features(), self.features[places])
+            if uses_features_for_critical_set(kind, len(points))
+            else None
         )
         try:
             known = CriticalSet(

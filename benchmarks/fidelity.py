@@ -33,8 +33,8 @@ import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
 from cornercase.evidence._critical_set_estimate import CriticalSet
-from cornercase.evidence._multi_fidelity import SourceStudyModel, augment_points
-from cornercase.evidence.gp._process import encode_points, fit_boundary_process
+from cornercase.evidence._multi_fidelity import SourceStudyModel, append_source_prediction
+from cornercase.evidence.gp._gaussian_process import encode_points, fit_boundary_process
 from cornercase.exploration._study_critical_set import is_score_independent
 from cornercase.metrics import METRICS
 from cornercase.optimizers import LevelSet
@@ -137,7 +137,7 @@ class Search:
         if begun is not None:
             optimizer.warm_start(*begun)
             elsewhere = SourceStudyModel(encode_points(self.space, begun[0]), begun[1], Criterion(self.threshold))
-        everywhere = augment_points(elsewhere, encode_points(self.space, self.lattice))
+        everywhere = append_source_prediction(elsewhere, encode_points(self.space, self.lattice))
         points, rows, within = np.zeros((0, len(self._steps))), [], {}
         while len(points) < most:
             new = optimizer.ask(ROUND)

@@ -31,7 +31,7 @@ from sklearn.metrics import f1_score
 from sklearn.model_selection import StratifiedKFold, cross_val_predict
 from threadpoolctl import threadpool_limits
 
-from cornercase.evidence.gp._process import encode_points, fit_boundary_process
+from cornercase.evidence.gp._gaussian_process import encode_points, fit_boundary_process
 from cornercase.optimizers import OPTIMIZERS
 from cornercase.scenario import Parameter, ParameterSpace
 from cornercase.study._criterion import Criterion

@@ -22,7 +22,7 @@ from sklearn.ensemble import RandomForestClassifier
 from sklearn.model_selection import StratifiedKFold, cross_val_predict
 
 from cornercase.evidence._committee import PREDICTED_CRITICAL, CommitteeModel
-from cornercase.evidence.gp._process import fit_boundary_process
+from cornercase.evidence.gp._gaussian_process import fit_boundary_process
 from cornercase.metrics import registered_features
 from cornercase.study._criterion import Criterion
 

@@ -117,9 +117,9 @@ def take_x(browser: Browser, study: Path, folder: Path, wanted: Callable[[str], 
 
 def take_settings(browser: Browser, study: Path, folder: Path) -> None:
     """Take the picture of the page of the settings."""
-    from cornercase.report import write_settings_page
+    from cornercase.report import write_clustering_settings_page
 
-    page_file = write_settings_page(study, folder / "settings.html", ["trajectory-distance"])
+    page_file = write_clustering_settings_page(study, folder / "settings.html", ["trajectory-distance"])
     with opened(browser, page_file, viewport={"width": 1600, "height": 780}) as page:
         page.select_option("#shown", label="Stability")
         # Gamma 0.5, eps 0.2.

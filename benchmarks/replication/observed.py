@@ -65,7 +65,9 @@ class Observed:
             rows, meta = study.finished_rows(), study.meta
             points = np.array([row.point for row in rows])
             scores = {name: study.scores(name) for name in meta.metrics}
-            searched = Objective.from_study_meta(meta).minimized(np.stack(list(scores.values()), axis=1))
+            searched = Objective.from_study_meta(meta).compute_scores_to_minimize(
+                np.stack(list(scores.values()), axis=1)
+            )
             influence = estimate_sensitivity(study.space, points, searched, seed)
             recordings = [study.recording(row.id) for row in rows]
             series, strides = {}, {}

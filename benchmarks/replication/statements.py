@@ -20,7 +20,7 @@ from scipy.spatial import Delaunay
 from scipy.stats import spearmanr
 from sklearn.metrics import silhouette_score
 
-from cornercase.evidence._bands import explained_variance
+from cornercase.evidence._criticality_bands import explained_variance
 from cornercase.reduction._hulls import find_hull_archetypes
 
 EGOS: Final = ("cautious", "normal", "aggressive")

@@ -14,7 +14,7 @@ if (
 import lazy_loader as lazy
 
 from cornercase._common.current_folder import ignore_settings_of_current_folder as _take_no_settings
-from cornercase._common.unknown_names import unknown_attribute as _unknown_attribute
+from cornercase._common.unknown_names import unknown_attribute_error as _unknown_attribute
 from cornercase._common.version import __version__ as __version__
 
 # Rooms that are attributes without being imported first, but not shown by dir().

@@ -13,7 +13,7 @@ import pytest
 
 import cornercase as cc
 from cornercase.recordings import Recording
-from cornercase.report._commands import format_study_file
+from cornercase.report._repeat_command import format_toml_study_file
 from cornercase.simulators import Builtin
 from cornercase.study import StudyFile
 from helpers.command_line import SPACE, X
@@ -241,9 +241,9 @@ def test_a_study_file_says_that_rules_which_ended_the_search_are_not_in_it(probl
     monkeypatch.chdir(tmp_path)
     study = cc.Study.create("s.db", problem, seed=1)
     study.explore("sobol", budget=40, batch=4, stop=cc.stop.no_improvement(1))
-    assert "such as --stop-when ended it, which a study does not hold" in format_study_file("s.db")
+    assert "such as --stop-when ended it, which a study does not hold" in format_toml_study_file("s.db")
     study.explore(budget=len(study.table()))
-    assert "--stop-when" not in format_study_file("s.db")
+    assert "--stop-when" not in format_toml_study_file("s.db")
 
 
 def test_an_equipped_driver_is_made_of_a_driver_and_not_of_its_name():

@@ -10,7 +10,7 @@ import pytest
 from browser.test_linked import drag, pictures
 from conftest import at_night
 from cornercase.evidence._score_surrogate import fit_surrogate
-from cornercase.evidence.gp._process import encode_points
+from cornercase.evidence.gp._gaussian_process import encode_points
 from cornercase.metrics import METRICS
 from cornercase.report._predictor_payload import _encode_predictor
 from cornercase.scenario import Parameter, ParameterSpace

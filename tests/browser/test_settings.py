@@ -12,7 +12,7 @@ from browser.conftest import shared
 from conftest import at_night
 from cornercase.clustering import read_analysis
 from cornercase.clustering._settings_map import EPS, GAMMAS
-from cornercase.report import write_settings_page
+from cornercase.report import write_clustering_settings_page
 from cornercase.study import StudyFile
 from helpers.command_line import cornercase
 
@@ -22,7 +22,7 @@ ASPECTS = ("interaction", "wttc")
 @pytest.fixture(scope="module")
 def plain(tmp_path_factory):
     study, _ = shared(tmp_path_factory, "plain")
-    return study, write_settings_page(study, tmp_path_factory.mktemp("settings") / "page.html", ASPECTS)
+    return study, write_clustering_settings_page(study, tmp_path_factory.mktemp("settings") / "page.html", ASPECTS)
 
 
 def cell(page, gamma, eps):
@@ -54,7 +54,7 @@ def test_a_click_takes_a_setting_and_its_command_finds_these_clusters(tab, plain
     for picture in ("space", "kernel"):
         assert page.locator(f"#{picture} .mark").count() == len(labels)
     # Marked where the command put it.
-    write_settings_page(copy, tmp_path / "again.html", ["wttc"])
+    write_clustering_settings_page(copy, tmp_path / "again.html", ["wttc"])
     again = tab.open((tmp_path / "again.html").as_uri())
     assert "stored in the study" in cell(again, 1.0, 0.1).get_attribute("aria-label")
     assert cell(again, 1.0, 0.1).get_attribute("aria-selected") == "true"
@@ -126,19 +126,19 @@ def test_settings_for_everyone(tab, plain, looks):
 
 def test_names_are_text_and_the_page_is_the_same_again(tab, studies, tmp_path):
     study = studies("hostile")
-    file = write_settings_page(study, tmp_path / "one.html", ["wttc"])
+    file = write_clustering_settings_page(study, tmp_path / "one.html", ["wttc"])
     page = tab.open(file.as_uri())
     assert page.title().startswith("cornercase: Settings of the clustering: ")
     cell(page, 1.0, 0.1).click()
     words = shlex.split(page.locator("#command code").inner_text())
     assert words[:5] == ["cornercase", "analyze", study.name, "--by", "wttc"]
-    assert write_settings_page(study, tmp_path / "other.html", ["wttc"]).read_bytes() == file.read_bytes()
+    assert write_clustering_settings_page(study, tmp_path / "other.html", ["wttc"]).read_bytes() == file.read_bytes()
 
 
 @pytest.mark.parametrize("name", at_night(["failed", "four"], {"four"}))
 def test_other_studies_have_it_too(tab, studies, tmp_path, name):
     by = ["distance"] if name == "failed" else ["wttc"]
-    page = tab.open(write_settings_page(studies(name), tmp_path / "page.html", by).as_uri())
+    page = tab.open(write_clustering_settings_page(studies(name), tmp_path / "page.html", by).as_uri())
     cell(page, 1.0, 0.1).click()
     page.select_option("#up", index=0)
     assert page.locator("#space .mark").count() > 0

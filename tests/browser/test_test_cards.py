@@ -47,36 +47,40 @@ def test_each_card_prints_on_a_page(tab, studies, tmp_path, name):
 )
 def test_a_card_that_is_full_is_still_a_page(tab, studies, tmp_path, monkeypatch, full):
     """Everything that a card may hold at once: as many rows as there may be, and long texts in each."""
-    from cornercase.report.cards import _card, _start, _start_conditions
+    from cornercase.report.cards import _card_contents, _movements, _start_poses
 
     text = "a condition of the storyboard that goes on and on, " * 4
     moves = [
-        _start_conditions.Movement("Pedestrian on the left 12", text[:60], text[:100], ("Pedestrian",)),
-        _start_conditions.Movement("A", text[:160], text[:160], ("A",)),
+        _movements.Movement("Pedestrian on the left 12", text[:60], text[:100], ("Pedestrian",)),
+        _movements.Movement("A", text[:160], text[:160], ("A",)),
     ] * 3
     name = "a pedestrian of 26 letters"
     contacts = tuple((f"{name[:-2]}{k}", 12.34) for k in range(9))
     long_parameter = ["a_parameter_with_a_name_of_40_characters", "x" * 64, "y" * 64, "none", "tolerance to be agreed"]
     parameter = ["a_parameter_22_letters", "123.456 km/h", "123 km/h (34.17 m/s)", "none", "tolerance to be agreed"]
     verdict = f"ROUNDING CHANGES THE OUTCOME: {'contact with one and another, ' * 10}".strip()
-    poses, results = _start.list_start_poses, _card._result_rows
+    poses, results = _start_poses.list_start_poses, _card_contents._result_rows
 
     def meet(*arguments):
         return replace(find_meeting(*arguments), further_contacts=contacts[:5], unmeasured_contacts=contacts)
 
     monkeypatch.setattr("cornercase.report.cards._rounded_runs.find_meeting", meet)
-    monkeypatch.setattr(_card, "list_movements", lambda *_: moves)
-    monkeypatch.setattr(_card, "list_start_poses", lambda *given: poses(*given) * 5)
-    monkeypatch.setattr(_card, "_result_rows", lambda *given: (results(*given) + results(*given)[3:])[:14])
-    monkeypatch.setattr(_card, "_fixed_parameters", lambda *_: "z" * 150)
+    monkeypatch.setattr(_card_contents, "list_movements", lambda *_: moves)
+    monkeypatch.setattr(_card_contents, "list_start_poses", lambda *given: poses(*given) * 5)
+    monkeypatch.setattr(_card_contents, "_result_rows", lambda *given: (results(*given) + results(*given)[3:])[:14])
+    monkeypatch.setattr(_card_contents, "_fixed_parameters", lambda *_: "z" * 150)
     if "parameters" in full:
-        monkeypatch.setattr(_card, "_parameter_rows", lambda *_: [long_parameter, *[parameter] * 11])
+        monkeypatch.setattr(_card_contents, "_parameter_rows", lambda *_: [long_parameter, *[parameter] * 11])
     if "conditions" in full:
         # Those of a suite, which has no parameters.
-        monkeypatch.setattr(_card, "_parameter_rows", lambda *_: [])
-        monkeypatch.setattr(_card, "_required", lambda *_: ["Requirement: no more than th" * 4][:110] * 4)
+        monkeypatch.setattr(_card_contents, "_parameter_rows", lambda *_: [])
+        monkeypatch.setattr(
+            _card_contents, "_list_pass_conditions", lambda *_: ["Requirement: no more than th" * 4][:110] * 4
+        )
     if "verdict" in full:
-        monkeypatch.setattr(_card, "_verdict", lambda *_: {"kind": "changed", "text": verdict})
+        monkeypatch.setattr(
+            _card_contents, "_describe_rounded_outcome", lambda *_: {"kind": "changed", "text": verdict}
+        )
     page = write_test_cards(studies("plain"), tmp_path / "cards.html", ids=[1])
     tab.page.goto(page.as_uri())
     assert tab.page.evaluate(CUT_OFF) == 0

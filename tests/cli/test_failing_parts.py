@@ -17,7 +17,7 @@ import cornercase as cc
 from conftest import at_night
 from cornercase._common.errors import InputError
 from cornercase._common.plugin_errors import describe_error, group_failure_messages
-from cornercase.cli.config_file import read_study_file
+from cornercase.cli.config_file import read_explore_options
 from cornercase.drivers import Driver
 from cornercase.drivers._resolve import resolve_driver
 from cornercase.metrics import METRICS, Clearance, measure
@@ -37,7 +37,7 @@ pytestmark = pytest.mark.filterwarnings("ignore:without effect")
 DRIVERS = '''
 import ctypes, sys
 import numpy as np
-from cornercase.cli.config_file import read_study_file
+from cornercase.cli.config_file import read_explore_options
 from cornercase.drivers import Driver
 
 
@@ -163,7 +163,7 @@ def test_42_8_whoever_wants_to_knows_of_all_failures(tmp_path):
     with pytest.raises(InputError, match="The first 2 scenarios all failed"):
         cc.explore(X, tmp_path / "b.db", max_failures=2, asynchronous=True, **given)
     (tmp_path / "study.toml").write_text("max-failures = 7\n")
-    assert read_study_file(tmp_path / "study.toml") == {"max_failures": 7}
+    assert read_explore_options(tmp_path / "study.toml") == {"max_failures": 7}
 
 
 def test_42_8_a_driver_that_crashes_costs_its_scenario_alone(folder):

@@ -30,7 +30,7 @@ def test_the_distance_to_a_neighbour_is_that_of_all_pairs():
     points = np.random.default_rng(1).random((200, 5))
     distances, squares = EmbeddedDistances(points), cdist(points, points, "sqeuclidean")
     rows = np.array([3, 50])
-    np.testing.assert_allclose(distances.distances_to_neighbour(rows, 10), np.sort(squares[rows], axis=1)[:, 10])
+    np.testing.assert_allclose(distances.distances_to_nth_neighbour(rows, 10), np.sort(squares[rows], axis=1)[:, 10])
 
 
 def test_random_choices_without_any_of_the_nearest_rows_are_measured_too():

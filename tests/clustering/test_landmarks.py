@@ -13,7 +13,7 @@ from cornercase.clustering import ScenarioClustering, analyze, read_analysis, re
 from cornercase.clustering import _analyze as analyze_module
 from cornercase.clustering import _landmarks as landmarks
 from cornercase.clustering._analyze import _read_inputs
-from cornercase.clustering._anchors import N_ANCHORS, DistanceCompletion
+from cornercase.clustering._anchors import N_ANCHORS, LandmarkDistanceEstimator
 from cornercase.clustering._assign import assign_to_clusters
 from cornercase.clustering._embedding import EmbeddedDistances, LandmarkMDS
 from cornercase.clustering._k_means import find_k_means
@@ -22,7 +22,7 @@ from cornercase.clustering._series import read_series
 from cornercase.dtw import distance_matrix
 from cornercase.reduction._coverage import measure_nearest_distances
 from cornercase.study import StudyFile
-from cornercase.study._digest import downsample, downsampling_stride
+from cornercase.study._scenario_digest import downsample, downsampling_stride
 from helpers.synthetic_study import explorer, opened
 
 
@@ -64,7 +64,7 @@ def test_places_of_squares_give_squares_back():
 def test_distances_to_all_landmarks_follow_from_those_to_anchors():
     points = np.random.default_rng(1).normal(size=(400, 7))
     true = squareform(pdist(points, "sqeuclidean"))[:, :300]
-    completion = DistanceCompletion(true[:300])
+    completion = LandmarkDistanceEstimator(true[:300])
     assert len(completion.anchors) == N_ANCHORS
     # Far from one another: the nearest two are farther apart than in a random choice.
     among = true[np.ix_(completion.anchors, completion.anchors)] + np.where(np.eye(N_ANCHORS), np.inf, 0.0)
@@ -75,7 +75,7 @@ def test_distances_to_all_landmarks_follow_from_those_to_anchors():
 
 
 def test_few_landmarks_are_all_anchors_even_if_they_are_equal():
-    completion = DistanceCompletion(np.zeros((4, 4)))
+    completion = LandmarkDistanceEstimator(np.zeros((4, 4)))
     assert completion.anchors.tolist() == [0, 1, 2, 3]
     assert completion.complete(np.array([[1.0, 2.0, 3.0, 4.0]])).tolist() == [[1.0, 2.0, 3.0, 4.0]]
 
@@ -201,7 +201,7 @@ def test_a_landmark_far_away_does_not_hide_the_others():
     points = rng.normal(size=(300, 3))
     points[7] = 5e6
     squared = squareform(pdist(points, "sqeuclidean")).astype(np.float32).astype(np.float64)
-    completion = DistanceCompletion(squared)
+    completion = LandmarkDistanceEstimator(squared)
     new = rng.normal(size=(50, 3))
     truth = ((new[:, None] - points[None]) ** 2).sum(axis=2)
     found = completion.complete(truth[:, completion.anchors])

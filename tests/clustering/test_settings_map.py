@@ -12,7 +12,13 @@ from sklearn.metrics import adjusted_mutual_info_score
 from cornercase.clustering import _analyze as analyze_module
 from cornercase.clustering import _landmarks as landmarks
 from cornercase.clustering import analyze, cluster, read_analysis, read_distances
-from cornercase.clustering._settings_map import EPS, GAMMAS, Observed, map_settings, usual_min_samples
+from cornercase.clustering._settings_map import (
+    EPS,
+    GAMMAS,
+    OutcomesAndScores,
+    choose_min_samples_values,
+    compute_settings_map,
+)
 from cornercase.study import StudyFile
 from helpers.synthetic_study import explorer, opened
 
@@ -30,8 +36,12 @@ def path(tmp_path_factory):
 def mapped(path):
     with StudyFile.open(path, readonly=True) as study:
         analysis = read_analysis(study, "distance")
-        observed = Observed.from_study(study)
-        return map_settings(study, analysis, observed), read_distances(study, "distance"), study.scores("distance")
+        observed = OutcomesAndScores.from_study(study)
+        return (
+            compute_settings_map(study, analysis, observed),
+            read_distances(study, "distance"),
+            study.scores("distance"),
+        )
 
 
 def test_a_cell_has_the_clusters_that_analyze_finds_with_its_setting(mapped):
@@ -75,8 +85,8 @@ def test_agreement_is_with_the_outcome(path, mapped):
     with StudyFile.open(path, readonly=True) as study:
         analysis = read_analysis(study, "distance")
         outcome = (study.scores("distance") > 3.0).astype(np.int64)
-        observed = Observed(analysis.ids, outcome, ("near", "far"), {})
-        again = map_settings(study, analysis, observed)
+        observed = OutcomesAndScores(analysis.ids, outcome, ("near", "far"), {})
+        again = compute_settings_map(study, analysis, observed)
     labels = found.labels[1, 4, 4]
     assert again.agreement[1, 4, 4] == pytest.approx(adjusted_mutual_info_score(outcome, labels))
     assert again.explained == {}
@@ -84,7 +94,7 @@ def test_agreement_is_with_the_outcome(path, mapped):
 
 def test_it_is_the_same_again(path, mapped):
     with StudyFile.open(path, readonly=True) as study:
-        again = map_settings(study, read_analysis(study, "distance"), Observed.from_study(study))
+        again = compute_settings_map(study, read_analysis(study, "distance"), OutcomesAndScores.from_study(study))
     for name in ("labels", "embeddings", "stability", "rows"):
         np.testing.assert_array_equal(getattr(again, name), getattr(mapped[0], name))
 
@@ -92,10 +102,10 @@ def test_it_is_the_same_again(path, mapped):
 def test_of_many_scenarios_a_sample_is_taken(path):
     with StudyFile.open(path, readonly=True) as study:
         analysis = read_analysis(study, "distance")
-        found = map_settings(study, analysis, Observed.from_study(study), max_mapped=20)
+        found = compute_settings_map(study, analysis, OutcomesAndScores.from_study(study), max_mapped=20)
     assert len(found.rows) == 20 < len(analysis.ids)
     assert found.labels.shape == (len(found.min_samples), len(GAMMAS), len(EPS), 20)
-    assert found.min_samples == usual_min_samples(len(analysis.ids))
+    assert found.min_samples == choose_min_samples_values(len(analysis.ids))
 
 
 def test_of_landmarks_all_are_taken(path, tmp_path, monkeypatch):
@@ -106,7 +116,7 @@ def test_of_landmarks_all_are_taken(path, tmp_path, monkeypatch):
     analyze(file, "distance")
     with StudyFile.open(file, readonly=True) as study:
         analysis = read_analysis(study, "distance")
-        found = map_settings(study, analysis, Observed.from_study(study))
+        found = compute_settings_map(study, analysis, OutcomesAndScores.from_study(study))
     np.testing.assert_array_equal(found.rows, analysis.clustering.landmarks)
     at = found.min_samples.index(3), GAMMAS.index(1.0), EPS.index(0.2)
     analyze(file, "distance", gamma=1.0, eps=0.2, min_samples=3)

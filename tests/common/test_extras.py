@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from cornercase._common.errors import InputError
-from cornercase._common.extras import describe_install
+from cornercase._common.optional_packages import describe_install
 from cornercase.simulators.carla._client_process import ClientProcess
 from cornercase.simulators.carla._runner_environment import RunnerEnvironment
 

@@ -10,7 +10,7 @@ from numba import types
 
 from cornercase._common.numba.interpret import compile_at_once, interpret
 from cornercase._common.numba.kernel import kernel
-from cornercase._common.numba.late import LateKernels
+from cornercase._common.numba.late_kernels import LateKernels
 from cornercase._common.numba.pointers import call_for_float
 from cornercase._common.numba.tuple_pointers import reference_to
 from cornercase._common.typing import FloatArray, IntArray

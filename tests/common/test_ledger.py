@@ -49,7 +49,8 @@ def read(tmp_path):
 
 def _notices(root: etree._Element, path: Path) -> list[str]:
     return [
-        f"{', '.join(one.parts)}: {one.reason}; {list(one.lines)}" for one in LEDGER.unsupported_notices(root, path)
+        f"{', '.join(one.parts)}: {one.reason}; {list(one.lines)}"
+        for one in LEDGER.list_unsupported_notices(root, path)
     ]
 
 
@@ -112,7 +113,7 @@ def test_refuses_nothing_that_changes_nothing_or_has_no_effect_anyway(read, text
 def test_many_lines_are_counted(read):
     _, root, path = read("<House>" + "\n<Garden/>" * 9 + "</House>")
     root.find("Garden")
-    (notice,) = LEDGER.unsupported_notices(root, path)
+    (notice,) = LEDGER.list_unsupported_notices(root, path)
     assert str(notice) == "<Garden> (house.xml, lines 2, 3, 4, 5, 6 and 4 more): gardens are left out"
 
 
@@ -128,13 +129,13 @@ def test_what_was_read_is_kept_however_the_elements_are_reached(read):
 def test_warnings_are_of_who_called(read):
     _, root, path = read("<House><Garden/></House>")
     with pytest.warns(NoticeWarning, match="without effect: <Garden>") as caught:
-        warn_notices(LEDGER.unsupported_notices(root, path))
+        warn_notices(LEDGER.list_unsupported_notices(root, path))
     assert caught[0].filename == __file__
 
 
 def test_what_nobody_read_is_not_named_where_reading_did_not_end(read):
     _, root, path = read("<House><Room/><Garden/><Shed/></House>")
-    whats = [one.parts for one in LEDGER.unsupported_notices(root, path, is_complete=False)]
+    whats = [one.parts for one in LEDGER.list_unsupported_notices(root, path, is_complete=False)]
     assert whats == [("<Garden>",), ("<Shed> in <House>",)]
 
 

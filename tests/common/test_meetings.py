@@ -30,7 +30,7 @@ def test_places_are_those_of_the_table_of_all_pairs(shape, share):
             np.testing.assert_array_equal(place.steps_of_first_path(), np.flatnonzero(table.any(1)))
             np.testing.assert_array_equal(place.steps_of_second_path(), np.flatnonzero(table.any(0)))
             np.testing.assert_array_equal([place.overlaps_of_step(i) for i in range(shape[0])], table)
-            np.testing.assert_array_equal([place.steps_overlapping(j) for j in range(shape[1])], table.T)
+            np.testing.assert_array_equal([place.overlaps_of_other_step(j) for j in range(shape[1])], table.T)
 
 
 def test_a_diagonal_is_one_place_and_a_gap_of_a_step_makes_two():

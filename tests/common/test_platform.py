@@ -12,7 +12,7 @@ import pytest
 from cornercase._common import platform
 from cornercase._common.errors import InputError
 from cornercase._common.io.atomic import atomic_write_group
-from cornercase._common.io.files import atomic_write, portable_name
+from cornercase._common.io.files import atomic_write, make_portable_file_name
 from helpers.waiting import lives, until
 
 
@@ -190,7 +190,7 @@ def test_a_new_file_has_the_permissions_of_the_users_choice(tmp_path):
     ],
 )
 def test_names_of_files_are_such_as_every_platform_takes(text, name):
-    assert portable_name(text) == name
+    assert make_portable_file_name(text) == name
 
 
 def test_output_in_a_narrow_encoding_loses_a_character_rather_than_the_program():

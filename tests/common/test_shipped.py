@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from cornercase._common.numba.shipped import SHIP_VARIABLE, runnable_levels
+from cornercase._common.numba.shipped import SHIP_VARIABLE, list_runnable_cpu_levels
 
 PROGRAM = """
 import json, sys
@@ -38,7 +38,7 @@ def half(x):
 print(json.dumps([half(5.0), heard, half._cache.has_overload(half.signatures[0], half.targetctx)]))
 """
 
-pytestmark = pytest.mark.skipif(not runnable_levels(), reason="no wheel with machine code fits this processor")
+pytestmark = pytest.mark.skipif(not list_runnable_cpu_levels(), reason="no wheel with machine code fits this processor")
 
 
 def run(folder, *, program=PROGRAM, version="", ship=False, has_file=True, cache="cache"):
@@ -60,7 +60,7 @@ def run(folder, *, program=PROGRAM, version="", ship=False, has_file=True, cache
 
 
 def code_folder(folder: Path) -> Path:
-    return folder / "package" / runnable_levels()[-1]
+    return folder / "package" / list_runnable_cpu_levels()[-1]
 
 
 @pytest.fixture

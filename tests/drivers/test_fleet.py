@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from conftest import at_night, examples
 from cornercase.drivers import DRIVERS, NORMAL, BehaviourDriver, DrivenPath, Driver, SimpleDriver, Situation
-from cornercase.drivers._compiled import build_fleet, link_drivers, set_route
+from cornercase.drivers._compiled import build_fleet, compile_fleet_kernels, set_route
 from cornercase.drivers._kernels.conflict import contact_interval, find_first_contact_row
 from cornercase.drivers._kernels.decide import compute_accelerations, find_route_row
 from cornercase.drivers._kernels.lookahead import MAX_SAMPLES, LookaheadPath, arrival_time, earliest_arrival_time
@@ -67,7 +67,7 @@ def each(fleet, d, told):
     """Decisions of a fleet's driver in all scenarios."""
     own = told.distance, told.x, told.y, told.heading, told.speed, told.target_speed
     others = told.others_x, told.others_y, told.others_heading, told.others_speed
-    link_drivers(fleet)
+    compile_fleet_kernels(fleet)
     inputs = [np.ascontiguousarray(np.stack(arrays, axis=1)) for arrays in (own, others)]
     return compute_accelerations(fleet, d, 1, told.time, told.time_step, *inputs, told.active)
 

@@ -14,8 +14,8 @@ import pytest
 import cornercase as cc
 from conftest import EXAMPLES, at_night
 from cornercase.drivers import DRIVERS, Body, DrivenPath, FmuDriver, Situation
-from cornercase.drivers._description import driver_command_option, format_driver, serialize_driver
 from cornercase.drivers._resolve import create_driver_named_in_file, may_be_named_in_file
+from cornercase.drivers._serialization import driver_command_option, format_driver, serialize_driver
 from cornercase.drivers.fmu._input_quantities import QUANTITIES, Traffic, recognize_input, recognize_output
 from cornercase.drivers.fmu._instance import Fmu, FmuError
 from cornercase.drivers.fmu._mapping import VariableMap

@@ -13,8 +13,8 @@ import pytest
 
 import cornercase as cc
 from cornercase.drivers import DRIVERS, NORMAL, BehaviourDriver
-from cornercase.drivers._description import driver_command_option, format_driver
 from cornercase.drivers._resolve import resolve_driver
+from cornercase.drivers._serialization import driver_command_option, format_driver
 from cornercase.report import write_report
 from cornercase.study import StudyFile
 from helpers.command_line import SPACE, X, cornercase

@@ -160,7 +160,7 @@ def answering(folder, code, name="other.py"):
             "this cornercase_client.py speaks version 7, cornercase ",
         ),
         (
-            "client._hello = lambda *_: {'type': 'hello', 'protocol': 7}\nclient.serve(client.Function)",
+            "client._answer_hello = lambda *_: {'type': 'hello', 'protocol': 7}\nclient.serve(client.Function)",
             "cannot be used: it has version 7 of the protocol, cornercase has version 1.",
         ),
         ("print('Hello there, how are you?')", "its output begins with 'Hello there"),

@@ -12,7 +12,7 @@ from conftest import at_night
 from cornercase._common.errors import InputError
 from cornercase.drivers import DrivenPath, ReferenceDriver, Situation, drive_cut_in, drive_cut_out, drive_deceleration
 from cornercase.drivers._resolve import driver_by_name
-from cornercase.drivers.references.r157._fsm import critical_metric, is_laterally_safe, proactive_metric
+from cornercase.drivers.references.r157._fuzzy_metrics import critical_metric, is_laterally_safe, proactive_metric
 from cornercase.drivers.references.r157._models import REFERENCES, rss_lateral_distance, rss_longitudinal_distance
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario

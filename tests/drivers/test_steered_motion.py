@@ -12,7 +12,7 @@ import cornercase as cc
 from conftest import EXAMPLES
 from cornercase.drivers import VEHICLES, Controls, DrivingFunction, EquippedDriver, Trajectory
 from cornercase.drivers._resolve import resolve_driver
-from cornercase.drivers._system_under_test import ScalarFunction
+from cornercase.drivers._system_under_test import PerScenarioDriver
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import Builtin, Sumo
 
@@ -218,7 +218,7 @@ def test_a_vehicle_is_steered_along_a_trajectory():
 
 
 def equipped(driver, vehicle):
-    return EquippedDriver(ScalarFunction(driver), vehicle=VEHICLES.create(vehicle))
+    return EquippedDriver(PerScenarioDriver(driver), vehicle=VEHICLES.create(vehicle))
 
 
 class LaneChanger(cc.SystemUnderTest):

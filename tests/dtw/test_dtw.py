@@ -15,7 +15,7 @@ from conftest import at_night, examples
 from cornercase._common.errors import InputError
 from cornercase._common.progress import verbosity
 from cornercase.dtw import _cpu as cpu
-from cornercase.dtw import _pairs as pairs
+from cornercase.dtw import _in_memory as pairs
 from cornercase.dtw import distance_matrix, distances_to, kernel_matrix
 from cornercase.dtw._lower_bounds import find_pairs_within_distance
 

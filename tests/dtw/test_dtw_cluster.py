@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from cornercase._common.errors import InputError
-from cornercase.dtw import _dask_tiles as dask_tiles
-from cornercase.dtw import _pairs as pairs
+from cornercase.dtw import _dask_squares as dask_tiles
+from cornercase.dtw import _in_memory as pairs
 from cornercase.dtw import distance_matrix, distances_to
-from cornercase.dtw._pairs import DtwSettings
+from cornercase.dtw._in_memory import DtwSettings
 from helpers.matrix_file import fill_small_squares
 
 distributed = pytest.importorskip("distributed")
@@ -51,7 +51,7 @@ def test_distances_to_landmarks_are_those_of_one_process_to_the_bit(client):
 def test_a_matrix_on_disk_goes_on_where_it_was_ended(client, tmp_path, monkeypatch):
     series, computed = walks(70), []
     here = fill_small_squares(series, tmp_path / "here.npy")
-    plain = dask_tiles.ClusterTiles.iter_squares
+    plain = dask_tiles.DaskSquares.iter_squares
 
     def ends(self, wanted):
         for number, square in enumerate(plain(self, wanted)):
@@ -63,10 +63,10 @@ def test_a_matrix_on_disk_goes_on_where_it_was_ended(client, tmp_path, monkeypat
         computed.extend(wanted)
         return plain(self, wanted)
 
-    monkeypatch.setattr(dask_tiles.ClusterTiles, "iter_squares", ends)
+    monkeypatch.setattr(dask_tiles.DaskSquares, "iter_squares", ends)
     with pytest.raises(KeyboardInterrupt):
         fill_small_squares(series, tmp_path / "there.npy", client=client)
-    monkeypatch.setattr(dask_tiles.ClusterTiles, "iter_squares", counted)
+    monkeypatch.setattr(dask_tiles.DaskSquares, "iter_squares", counted)
     there = fill_small_squares(series, tmp_path / "there.npy", resume=True, client=client)
     assert here.tobytes() == there.tobytes()
     assert (tmp_path / "here.npy").read_bytes() == (tmp_path / "there.npy").read_bytes()
@@ -78,7 +78,7 @@ def test_progress_counts_every_cell(client):
     series = [np.arange(float(k % 7 + 1))[:, None] for k in range(80)]
     seen: list[int] = []
     settings = DtwSettings(False, None, np.dtype("float64"), 1, "cpu")
-    dask_tiles.compute_distances_on_cluster(series, None, settings, client, seen.append)
+    dask_tiles.compute_distances_on_dask(series, None, settings, client, seen.append)
     assert sum(seen) == pairs.count_cells(series, None)
     assert len(seen) > 1
 

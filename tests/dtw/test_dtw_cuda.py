@@ -11,7 +11,7 @@ import pytest
 
 from conftest import at_night
 from cornercase._common.errors import InputError
-from cornercase.dtw import _pairs as pairs
+from cornercase.dtw import _in_memory as pairs
 from cornercase.dtw import distance_matrix, distances_to
 
 SIMULATED = """

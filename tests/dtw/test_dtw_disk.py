@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cornercase._common.errors import InputError
-from cornercase.dtw import _pairs as pairs
+from cornercase.dtw import _in_memory as pairs
 from cornercase.dtw import distance_matrix
 from helpers.matrix_file import SIDE, fill_small_squares
 from helpers.waiting import until
@@ -54,7 +54,7 @@ def test_goes_on_after_being_killed(tmp_path, monkeypatch):
     path = tmp_path / "matrix.npy"
     np.savez(tmp_path / "series.npz", *series)
     program = (
-        "import itertools, sys, time, numpy as np; from cornercase.dtw import _disk as disk; "
+        "import itertools, sys, time, numpy as np; from cornercase.dtw import _matrix_file as disk; "
         "from helpers.matrix_file import fill_small_squares; "
         "stored = np.load(sys.argv[1]); number, check = itertools.count(), disk._checksum; "
         # It waits to be killed before it records the eighth square.

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from conftest import examples
-from cornercase.evidence._bands import Bands, find_bands
+from cornercase.evidence._criticality_bands import Bands, find_bands
 from cornercase.metrics import METRICS
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cornercase.evidence.gp._blas import (
+from cornercase.evidence.gp._triangular_products import (
     gram_lower_half,
     multiply_by_lower_transposed,
     multiply_by_transposed,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cornercase.evidence._calibration import ProbitCalibration
+from cornercase.evidence._probit_calibration import ProbitCalibration
 
 
 def record(count, seed=0):

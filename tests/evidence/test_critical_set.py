@@ -8,7 +8,7 @@ from scipy.stats import qmc
 
 from cornercase._common.errors import InputError
 from cornercase.evidence._critical_set_estimate import CriticalSet
-from cornercase.evidence.gp._process import GaussianProcess
+from cornercase.evidence.gp._gaussian_process import GaussianProcess
 from cornercase.metrics import Feature
 from cornercase.optimizers import LevelSet, Sobol
 from cornercase.scenario import Constraint, Parameter, ParameterDeclaration, ParameterSpace
@@ -192,7 +192,7 @@ def test_no_critical_scenario_at_all_leaves_a_small_share():
 def test_it_says_the_same_again_whatever_the_number_of_threads(monkeypatch, threads):
     points = qmc.Sobol(3, seed=0).random(64)
     expected = estimates(CriticalSet(CUBE, points, two_regions(points), Criterion(THRESHOLD), 5))
-    monkeypatch.setattr("cornercase.evidence.gp._process.count_available_cpus", lambda: threads)
+    monkeypatch.setattr("cornercase.evidence.gp._gaussian_process.count_available_cpus", lambda: threads)
     assert estimates(CriticalSet(CUBE, points, two_regions(points), Criterion(THRESHOLD), 5)) == expected
 
 

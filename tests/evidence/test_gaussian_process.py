@@ -11,9 +11,14 @@ from scipy.stats import qmc
 
 from conftest import examples
 from cornercase.evidence._critical_set_estimate import CriticalSet
-from cornercase.evidence.gp._kernel import MaternKernel, indices_with_rare_values
+from cornercase.evidence.gp._gaussian_process import (
+    GaussianProcess,
+    fit_boundary_process,
+    squash_around_threshold,
+    squash_scale,
+)
+from cornercase.evidence.gp._matern_kernel import MaternKernel, indices_with_rare_values
 from cornercase.evidence.gp._posterior import ExactPosterior, SparsePosterior
-from cornercase.evidence.gp._process import GaussianProcess, fit_boundary_process, squash_around_threshold, squash_scale
 from cornercase.study._criterion import Criterion
 from helpers.search_cases import CUBE, EVERYWHERE, THRESHOLD, two_regions
 

@@ -7,9 +7,9 @@ from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import ConstantKernel, Matern
 
 from cornercase.evidence._critical_set_estimate import CriticalSet
-from cornercase.evidence.gp._kernel import MaternKernel
-from cornercase.evidence.gp._nearest import NearestPosterior
-from cornercase.evidence.gp._process import GaussianProcess, fit_boundary_process
+from cornercase.evidence.gp._gaussian_process import GaussianProcess, fit_boundary_process
+from cornercase.evidence.gp._matern_kernel import MaternKernel
+from cornercase.evidence.gp._neighbour_posterior import NearestPosterior
 from cornercase.scenario import ParameterSpace
 from cornercase.study._criterion import Criterion
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cornercase.evidence._out_of_sample import cross_validate_scores
-from cornercase.evidence.gp._process import fit_boundary_process, squash_around_threshold
+from cornercase.evidence.gp._gaussian_process import fit_boundary_process, squash_around_threshold
 from cornercase.study._criterion import Criterion
 
 

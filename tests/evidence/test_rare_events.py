@@ -13,7 +13,7 @@ from cornercase.evidence._probability import (
     probability_from_enumeration,
     probability_from_weights,
 )
-from cornercase.evidence._rare_events import ImportanceSampling, initial_proposal
+from cornercase.evidence._rare_events import ImportanceSampling, fit_initial_proposal
 from cornercase.scenario import Constraint, Parameter, ParameterDeclaration, ParameterSpace
 from cornercase.study._criterion import Criterion
 
@@ -195,13 +195,13 @@ def test_a_guess_from_a_study_leads_to_the_region():
 
     space, rng = space_of(2), np.random.default_rng(0)
     known = rng.random((150, 2))
-    guess = initial_proposal(space, known, score(known), Criterion(0.0), 0)
+    guess = fit_initial_proposal(space, known, score(known), Criterion(0.0), 0)
     assert guess is not None
     near = np.abs(norm.cdf(guess.draw_points(500, rng)) - 0.9).max(1)
     assert np.median(near) < 0.1
     found, _ = estimated(space, score, 600, 0, guess)
     assert found.low <= 0.06**2 <= found.high
-    assert initial_proposal(space, known, np.ones(150), Criterion(0.0), 0) is None
+    assert fit_initial_proposal(space, known, np.ones(150), Criterion(0.0), 0) is None
 
 
 def test_a_mixture_finds_groups_and_has_the_density_it_draws_from():

@@ -10,7 +10,12 @@ from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel
 
 from conftest import at_night
 from cornercase.evidence._critical_set_estimate import CriticalSet
-from cornercase.evidence.gp._process import GaussianProcess, fit_boundary_process, squash_around_threshold, squash_scale
+from cornercase.evidence.gp._gaussian_process import (
+    GaussianProcess,
+    fit_boundary_process,
+    squash_around_threshold,
+    squash_scale,
+)
 from cornercase.scenario import ParameterSpace
 from cornercase.study._criterion import Criterion
 

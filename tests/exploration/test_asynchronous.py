@@ -110,7 +110,7 @@ def explored(path, one, simulator=None, optimizer=None):
         if path.exists()
         else StudyFile.create(path, one.make_study_meta(objective, {})) as study
     ):
-        study.writer.resume(one.make_study_meta(objective, {}))
+        study.writer.check_and_update_meta(one.make_study_meta(objective, {}))
         searching = fresh(one) if optimizer is None else optimizer
         return AsynchronousExplorer(one, simulator or Synthetic(), searching, study, objective).run()
 

@@ -18,7 +18,7 @@ from cornercase.exploration._study_critical_set import audit_sampler, is_score_i
 from cornercase.metrics import METRICS
 from cornercase.optimizers import OPTIMIZERS, Optimizer
 from cornercase.report import summarize, write_report
-from cornercase.report.text._show import summary_to_dict
+from cornercase.report.text._summary_dict import summary_to_dict
 from cornercase.scenario import LogicalScenario, ParameterSpace
 from cornercase.study import StudyFile
 from helpers.synthetic_study import LOGICAL, SPACE, Synthetic
@@ -87,7 +87,7 @@ def test_an_interrupted_study_with_audits_goes_on_the_same(tmp_path):
     with StudyFile.open(tmp_path / "parts.db", readonly=False) as study:
         other = replace(study.meta, audit=0.1)
         with pytest.raises(InputError, match="another share of audits"):
-            study.writer.resume(other)
+            study.writer.check_and_update_meta(other)
 
 
 def test_what_audits_say_is_told(tmp_path):

@@ -96,5 +96,5 @@ def test_a_study_with_a_result_stays_what_it_is(tmp_path):
         explorer(study, Synthetic(), budget=3, batch=3).run()
         before = study.rows()
         with pytest.raises(InputError, match="another ego"):
-            study.writer.resume(about(space, "distance", ego="C"))
+            study.writer.check_and_update_meta(about(space, "distance", ego="C"))
         assert [row.id for row in study.rows()] == [row.id for row in before]

@@ -20,7 +20,7 @@ from cornercase.exploration._explorer import ScenarioExplorer
 from cornercase.metrics import METRICS
 from cornercase.optimizers import OPTIMIZERS
 from cornercase.recordings import Recording
-from cornercase.report.text._show import summary_to_dict
+from cornercase.report.text._summary_dict import summary_to_dict
 from cornercase.scenario import LogicalScenario
 from cornercase.simulators import Builtin
 from cornercase.study import StudyFile

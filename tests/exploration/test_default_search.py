@@ -11,7 +11,7 @@ from cornercase._common.errors import InputError
 from cornercase.exploration._config import ExplorationConfig
 from cornercase.exploration._paper_examples import paper_experiment_config
 from cornercase.optimizers import Sobol
-from cornercase.report._commands import format_command
+from cornercase.report._repeat_command import format_repeat_command
 from cornercase.study import StudyFile
 from helpers.synthetic_study import LOGICAL
 
@@ -42,7 +42,7 @@ def test_a_study_names_it_and_so_does_the_command_that_repeats_it(tmp_path):
     study.explore(budget=2)
     assert study.optimizer == "auto"
     with StudyFile.open(study.path) as file:
-        assert "--optimizer auto" in format_command(file.meta)
+        assert "--optimizer auto" in format_repeat_command(file.meta)
     explore(CROSSING, tmp_path / "without.db", **ROLES, metrics="distance", budget=2)
     assert Study.open(tmp_path / "without.db").optimizer == "bayes"
 

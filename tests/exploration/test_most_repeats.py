@@ -26,12 +26,12 @@ from cornercase.exploration._paper_examples import paper_experiment_config
 from cornercase.optimizers import OPTIMIZERS
 from cornercase.recordings import Recording
 from cornercase.report import summarize, write_report
-from cornercase.report._commands import format_study_file
+from cornercase.report._repeat_command import format_toml_study_file
 from cornercase.scenario import LogicalScenario, ParameterSpace
 from cornercase.simulators import Simulator
 from cornercase.study import StudyFile
 from cornercase.study._criterion import Criterion
-from cornercase.study._run_rates import MIN_DECISIVE_RUNS, is_criticality_undecided
+from cornercase.study._critical_run_rates import MIN_DECISIVE_RUNS, is_criticality_undecided
 
 SPACE = ParameterSpace.from_ranges(["often=0:1"])
 LOGICAL = LogicalScenario(Path("synthetic.xosc"), SPACE, "0")
@@ -97,7 +97,7 @@ def explored(path, one, simulator):
     optimizer = OPTIMIZERS.create("sobol").start(SPACE, 3, threshold=THRESHOLD, budget=one.budget)
     kind = AsynchronousExplorer if one.asynchronous else ScenarioExplorer
     with StudyFile.open(path, readonly=False) if path.exists() else StudyFile.create(path, meta) as study:
-        study.writer.resume(meta)
+        study.writer.check_and_update_meta(meta)
         return kind(one, simulator, optimizer, study).run()
 
 
@@ -233,7 +233,7 @@ def test_it_is_said_wherever_the_repeats_are(study, tmp_path):
         assert summarize(opened).meta.repeats_text == "5 to 17"
         opened.export(tmp_path / "csv")
     assert "Each was run 5 to 17 times" in (tmp_path / "r.html").read_text(encoding="utf-8")
-    assert "max-repeats = 17\n" in format_study_file(path)
+    assert "max-repeats = 17\n" in format_toml_study_file(path)
     shown = CliRunner().invoke(app, ["show", str(path), "--json"])
     assert json.loads(shown.stdout)["metrics"]["distance"]["runs_of_each_at_most"] == MOST
     head = (tmp_path / "csv" / "scenarios.csv").read_text().splitlines()[0]

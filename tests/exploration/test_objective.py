@@ -40,18 +40,20 @@ def between(points):
 
 def test_lower_is_always_more_critical():
     scores = np.array([[1.5, 4.0], [0.5, 8.0]])
-    np.testing.assert_array_equal(Objective([TTC, DRAC]).minimized(scores), [1.5, 0.5])
-    np.testing.assert_array_equal(Objective([DRAC, TTC]).minimized(scores[:, ::-1]), [-4.0, -8.0])
+    np.testing.assert_array_equal(Objective([TTC, DRAC]).compute_scores_to_minimize(scores), [1.5, 0.5])
+    np.testing.assert_array_equal(Objective([DRAC, TTC]).compute_scores_to_minimize(scores[:, ::-1]), [-4.0, -8.0])
     both = Objective([TTC, DRAC], {"ttc": 2.0, "drac": 0.5})
-    np.testing.assert_array_equal(both.minimized(scores), [1.0, -3.0])
+    np.testing.assert_array_equal(both.compute_scores_to_minimize(scores), [1.0, -3.0])
     assert both.label == "2 ttc + 0.5 (-drac)"
-    np.testing.assert_array_equal(Objective([TTC, DRAC], pareto=True).minimized(scores), [[1.5, -4.0], [0.5, -8.0]])
+    np.testing.assert_array_equal(
+        Objective([TTC, DRAC], pareto=True).compute_scores_to_minimize(scores), [[1.5, -4.0], [0.5, -8.0]]
+    )
     criterion = Criterion(3.0, lower_is_critical=False, unit="m/s²")
     assert Objective([DRAC], threshold=3.0).criterion == criterion
     assert criterion.is_critical(np.array([-4.0, -3.0, -2.0, np.nan])).tolist() == [True, True, False, False]
     assert (criterion.oriented, str(criterion)) == (-3.0, ">= 3 m/s²")
     # Unused scores may be undefined.
-    np.testing.assert_array_equal(Objective([TTC, DRAC]).minimized(np.array([[1.5, np.nan]])), [1.5])
+    np.testing.assert_array_equal(Objective([TTC, DRAC]).compute_scores_to_minimize(np.array([[1.5, np.nan]])), [1.5])
 
 
 @pytest.mark.parametrize(

@@ -32,10 +32,10 @@ from pathlib import Path
 from typer.testing import CliRunner
 import cornercase
 from cornercase.cli import app
-from cornercase.cli.config_file import read_study_file
+from cornercase.cli.config_file import read_explore_options
 from cornercase.cli.option_names import use_option_names
 from cornercase.exploration._config import ExplorationConfig, config_from_study
-from cornercase.report._commands import format_command, format_study_file
+from cornercase.report._repeat_command import format_repeat_command, format_toml_study_file
 from cornercase.study import StudyFile
 
 folder, files = Path(sys.argv[1]), "examples/x_intersection/x_intersection"
@@ -46,11 +46,11 @@ found["page"] = (folder / "options.md").read_text(encoding="utf-8")
 found["docstring"] = cornercase.explore.__doc__
 found["message"] = use_option_names("`mood` is too bold")
 (folder / "good.toml").write_text("mood = 5", encoding="utf-8")
-found["file"] = read_study_file(folder / "good.toml")
+found["file"] = read_explore_options(folder / "good.toml")
 (folder / "bad.toml").write_text("mood = 'good'", encoding="utf-8")
 options = dict(ego="Ego", other="Pedestrian", metrics=["distance"], space=f"{files}.space.xosc")
 for name, attempt in {
-    "bad file": lambda: read_study_file(folder / "bad.toml"),
+    "bad file": lambda: read_explore_options(folder / "bad.toml"),
     "bad value": lambda: cornercase.explore(f"{files}.xosc", folder / "bad.db", mood=10, **options),
 }.items():
     try:
@@ -64,10 +64,10 @@ for name, given in {"given": {"mood": 7}, "default": {}}.items():
     StudyFile.create(study, config.make_study_meta(config.make_objective(), {"time_step": 0.1}, study=study)).close()
     with StudyFile.open(study, readonly=True) as opened:
         found[name] = {
-            "settings": opened.meta.settings.get("mood"), "command": format_command(opened.meta),
+            "settings": opened.meta.settings.get("mood"), "command": format_repeat_command(opened.meta),
             "config": config_from_study(opened, study, None, None, {}).mood,
         }
-    found[name]["toml"] = format_study_file(study)
+    found[name]["toml"] = format_toml_study_file(study)
 print(json.dumps(found))
 """
 

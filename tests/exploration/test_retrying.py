@@ -10,7 +10,7 @@ import pytest
 import typer
 
 import cornercase as cc
-from cornercase.cli.options import print_ending
+from cornercase.cli.options import finish_exploration_command
 from cornercase.exploration import ExplorationResult
 from cornercase.study import StudyFile
 
@@ -53,8 +53,8 @@ def test_what_failed_is_run_once_more_when_that_is_asked(tmp_path, asynchronous)
 
 def test_failures_are_counted_and_all_of_them_is_a_no(capsys):
     some = ExplorationResult(Path("s.db"), 4, 2, "it ended", failure_counts={"too slow": 2})
-    print_ending(some)
+    finish_exploration_command(some)
     assert "2 failed: too slow" in capsys.readouterr().out
     with pytest.raises(typer.Exit) as ended:
-        print_ending(ExplorationResult(Path("s.db"), 0, 2, "it ended", failure_counts={"a": 1, "b": 1}))
+        finish_exploration_command(ExplorationResult(Path("s.db"), 0, 2, "it ended", failure_counts={"a": 1, "b": 1}))
     assert ended.value.exit_code == 1

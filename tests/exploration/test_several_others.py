@@ -17,9 +17,9 @@ from cornercase.metrics import METRICS
 from cornercase.metrics._measure import evaluate_metrics
 from cornercase.reduction import reduce
 from cornercase.report import summarize
-from cornercase.report._payload import page_payload
 from cornercase.report._report_data import read_report_data
-from cornercase.report.text._show import summary_to_dict
+from cornercase.report._report_payload import page_payload
+from cornercase.report.text._summary_dict import summary_to_dict
 from cornercase.study import StudyFile
 from helpers.command_line import cornercase
 

@@ -6,9 +6,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from cornercase.dtw._disk import FloatMap, fill_matrix_file
 from cornercase.dtw._distance_matrix import _subtract_common_mean, _validate_series
-from cornercase.dtw._pairs import DtwSettings
+from cornercase.dtw._in_memory import DtwSettings
+from cornercase.dtw._matrix_file import FloatMap, fill_matrix_file
 
 SIDE: Final = 16
 """Series per side of a square."""

@@ -61,6 +61,8 @@ def test_importing_the_package_loads_nothing_heavy():
 
 
 def test_who_searches_or_looks_does_not_wait_for_scikit_learn():
-    program = "import sys, cornercase.exploration._explore, cornercase.report._page; print('sklearn' in sys.modules)"
+    program = (
+        "import sys, cornercase.exploration._explore, cornercase.report._report_page; print('sklearn' in sys.modules)"
+    )
     found = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert found.stdout.strip() == "False"

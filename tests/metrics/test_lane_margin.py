@@ -13,7 +13,7 @@ import pytest
 
 import cornercase as cc
 from conftest import at_night
-from cornercase.drivers._system_under_test import ScalarFunction
+from cornercase.drivers._system_under_test import PerScenarioDriver
 from cornercase.metrics import METRICS, Expression, signals_from_recording
 from cornercase.recordings import Recording
 from cornercase.suite import Requirement, judge
@@ -148,7 +148,7 @@ def test_functions_on_the_motorway_change_lanes_without_a_collision(file, values
     limit, state = ("2", "passed") if function == "PassSlowLeader" else ("4", "failed")
     assert judge(Requirement.parse(f"lateral acceleration < {limit} m/s²"), recording, "Ego", "Other").state == state
     # Who keeps its lane and speed does not get past.
-    asleep = cc.simulate(scenario, values, drivers={"Ego": ScalarFunction(Asleep())}, duration=15.0)
+    asleep = cc.simulate(scenario, values, drivers={"Ego": PerScenarioDriver(Asleep())}, duration=15.0)
     assert any("Ego" in collision.entities for collision in asleep.collisions)
 
 
@@ -163,7 +163,7 @@ def test_a_suite_judges_by_the_roads_of_its_scenarios(tmp_path):
     options: Any = {
         "ego": "Ego",
         "other": ["Other"],
-        "drivers": {"Ego": ScalarFunction(example("PassSlowLeader"))},
+        "drivers": {"Ego": PerScenarioDriver(example("PassSlowLeader"))},
         "duration": 15.0,
     }
     for others in (["Other"], "*"):

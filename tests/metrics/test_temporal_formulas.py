@@ -13,7 +13,7 @@ from cornercase._common.errors import InputError
 from cornercase.metrics import METRICS, Expression, Signals
 from cornercase.metrics._evaluation import Evaluation
 from cornercase.metrics.expressions._ast import Bound
-from cornercase.metrics.expressions._statements import evaluate_leaf
+from cornercase.metrics.expressions._leaf_evaluation import evaluate_leaf
 from cornercase.study import StudyFile
 from helpers.oracle import actor, recorded
 

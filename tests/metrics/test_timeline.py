@@ -20,7 +20,7 @@ def braking(speed, since, deceleration, until=math.inf):
 
 
 def find_reply(recording, ego, other, time):
-    reply = _timeline.find_reply(recording, ego, other, time)
+    reply = _timeline.find_ego_reaction(recording, ego, other, time)
     assert reply is not None
     return reply
 

@@ -8,8 +8,8 @@ import pytest
 from conftest import at_night
 from cornercase._common.errors import InputError
 from cornercase.evidence._committee import CommitteeModel
-from cornercase.evidence.gp._process import fit_boundary_process
-from cornercase.exploration._study_critical_set import is_judged_with_features, is_score_independent
+from cornercase.evidence.gp._gaussian_process import fit_boundary_process
+from cornercase.exploration._study_critical_set import is_score_independent, uses_features_for_critical_set
 from cornercase.optimizers import OPTIMIZERS, Auto, Sobol
 from cornercase.scenario import Constraint, Parameter, ParameterDeclaration, ParameterSpace
 from cornercase.study._criterion import Criterion
@@ -201,9 +201,9 @@ def test_choices_steps_and_constraints_are_kept_to_the_last_scenario():
 
 
 def test_its_studies_are_judged_with_features_and_it_is_described_by_its_options():
-    assert is_judged_with_features("auto:filling=0.3", 5000)
-    assert is_judged_with_features("sobol", 2000)
-    assert not is_judged_with_features("sobol", 2001)
+    assert uses_features_for_critical_set("auto:filling=0.3", 5000)
+    assert uses_features_for_critical_set("sobol", 2000)
+    assert not uses_features_for_critical_set("sobol", 2001)
     created = OPTIMIZERS.create("auto:filling=0.3")
     assert created == Auto(filling=0.3)
     assert (repr(created), str(created)) == ("Auto(filling=0.3)", "auto:filling=0.3")

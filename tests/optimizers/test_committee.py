@@ -7,7 +7,7 @@ import pytest
 
 from conftest import at_night
 from cornercase.evidence._committee import CommitteeModel
-from cornercase.evidence.gp._process import fit_boundary_process
+from cornercase.evidence.gp._gaussian_process import fit_boundary_process
 from cornercase.optimizers import Committee, LevelSet, Sobol
 from cornercase.scenario import Parameter, ParameterSpace
 from cornercase.study._criterion import Criterion

@@ -14,8 +14,8 @@ from sklearn.gaussian_process.kernels import ConstantKernel, Matern
 
 from conftest import at_night
 from cornercase.evidence._critical_set_estimate import CriticalSet
-from cornercase.evidence.gp._kernel import _NegativeLogPosterior
-from cornercase.evidence.gp._process import GaussianProcess, encode_points, fit_boundary_process
+from cornercase.evidence.gp._gaussian_process import GaussianProcess, encode_points, fit_boundary_process
+from cornercase.evidence.gp._matern_kernel import _NegativeLogPosterior
 from cornercase.metrics import METRICS
 from cornercase.optimizers import Bayes, LevelSet, Sobol
 from cornercase.optimizers._local_minima import suggest_below_local_minima
@@ -241,7 +241,9 @@ def test_the_number_of_threads_does_not_show(monkeypatch):
     process = GaussianProcess().fit(points, two_regions(points))
     results = []
     for threads in (1, 2, 5):
-        monkeypatch.setattr("cornercase.evidence.gp._process.count_available_cpus", lambda threads=threads: threads)
+        monkeypatch.setattr(
+            "cornercase.evidence.gp._gaussian_process.count_available_cpus", lambda threads=threads: threads
+        )
         results.append(process.predict(EVERYWHERE))
     for mean, deviation in results[1:]:
         np.testing.assert_array_equal(mean, results[0][0])

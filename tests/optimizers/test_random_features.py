@@ -19,7 +19,7 @@ def test_its_own_mean_changes_no_mean_and_makes_sure_where_it_is_taken():
     empty = RandomFeatureProcess(3.0 * rng.normal(size=(300, 2)), 6.3 * rng.random(300), np.sqrt(2.0 / 300), 0.0, 0.1)
     known, pending = rng.random((12, 2)), rng.random((4, 2)) + 0.5
     process = empty.with_more_values(known, np.sin(5.0 * known[:, 0]))
-    expecting = process.with_own_mean_at(pending)
+    expecting = process.conditioned_on_own_mean(pending)
     everywhere = 1.5 * rng.random((200, 2))
     mean, variance = posterior(process, everywhere)
     later, less = posterior(expecting, everywhere)

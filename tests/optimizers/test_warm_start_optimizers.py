@@ -11,7 +11,7 @@ from cornercase._common.errors import InputError
 from cornercase.evidence._committee import CommitteeModel
 from cornercase.evidence._critical_set_estimate import CriticalSet
 from cornercase.evidence._multi_fidelity import SourceStudyModel
-from cornercase.evidence.gp._process import fit_boundary_process
+from cornercase.evidence.gp._gaussian_process import fit_boundary_process
 from cornercase.exploration._study_critical_set import is_score_independent
 from cornercase.optimizers import OPTIMIZERS, LevelSet, Sobol
 from cornercase.study._criterion import Criterion

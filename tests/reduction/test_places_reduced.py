@@ -14,8 +14,8 @@ from cornercase.clustering import analyze
 from cornercase.clustering._embedding import EmbeddedDistances
 from cornercase.reduction import _reduce as reduce_module
 from cornercase.reduction import reduce
+from cornercase.reduction._cell_greedy_search import CellGreedySearch
 from cornercase.reduction._coverage import measure_coverage
-from cornercase.reduction._coverage_cells import CellCoverageSums
 from cornercase.reduction._critical_coverage import max_similar_distance
 from cornercase.reduction._held_out_coverage import Fold, measure_held_out_distances
 from cornercase.reduction._medoids import find_k_medoids, find_prototype
@@ -60,7 +60,7 @@ def test_cells_find_what_is_left_in_places_of_any_size():
     for count, axes, power in ((1, 1, 3), (16, 3, 2), (37, 19, 3), (200, 8, 2)):
         places = [rng.random((count, axes)) * rng.random(axes), rng.random((count, 2))]
         heavy, usual, kept = rng.random((2, count)), [0.3, 0.7], [0, count // 2]
-        sums = CellCoverageSums(places, usual, list(heavy), power, kept)
+        sums = CellGreedySearch(places, usual, list(heavy), power, kept)
         costs = [
             (squareform(pdist(one, "sqeuclidean")) / unit) ** power * weight
             for one, unit, weight in zip(places, usual, heavy, strict=True)

@@ -15,15 +15,15 @@ from scipy.spatial.distance import cdist
 from conftest import examples
 from cornercase._common.errors import InputError
 from cornercase.clustering import read_analyses, read_distances
-from cornercase.clustering._headline import find_headline_aspect
-from cornercase.evidence._bands import bands_by_scenario
+from cornercase.clustering._headline_aspect import find_headline_aspect
+from cornercase.evidence._criticality_bands import bands_by_scenario
 from cornercase.reduction import read_reduction, reduce
 from cornercase.reduction._coverage import measure_coverage
 from cornercase.reduction._medoids import find_k_medoids
 from cornercase.reduction.selection._greedy import select_scenarios
 from cornercase.reduction.selection._select import SelectionInput, SelectionRequest, select
 from cornercase.report import summarize
-from cornercase.report.text._show import summary_to_dict
+from cornercase.report.text._summary_dict import summary_to_dict
 from cornercase.study import StudyFile
 from helpers.command_line import SPACE, X, cornercase
 

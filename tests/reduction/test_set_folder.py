@@ -13,8 +13,8 @@ import pytest
 from conftest import at_night
 from cornercase._common.errors import InputError
 from cornercase._common.io.files import read_file
-from cornercase.reduction import _set_folder as set_folder
-from cornercase.reduction._set_folder import MANIFEST, complete_replacement, replace_set
+from cornercase.reduction import _reduced_set_folder as set_folder
+from cornercase.reduction._reduced_set_folder import MANIFEST, complete_replacement, replace_reduced_set
 
 OLD = {"s-00001.xosc": b"one", "s-00002.xosc": b"two", "s-00003.xosc": b"three", "road.xodr": b"road"}
 NEW = {"s-00002.xosc": b"two again", "s-00004.xosc": b"four", "catalogs/c/c.xosc": b"catalog", "road.xodr": b"new road"}
@@ -27,7 +27,7 @@ class KilledError(BaseException):
 
 
 def write(folder: Path, files: dict[str, bytes]) -> None:
-    with replace_set(folder) as written:
+    with replace_reduced_set(folder) as written:
         for place, content in files.items():
             written.add(place, content)
         named = [{"file": place} for place in files if place.startswith("s-")]

@@ -194,7 +194,7 @@ def prepare(folder: Path, chosen: Sequence[str]) -> None:
 
 def judge(command: str, ended: Ended, before: dict[str, str], after: dict[str, str], work: Path) -> list[str]:
     """Say what is not as it has to be after an order has failed."""
-    from cornercase.reduction._set_folder import complete_replacement
+    from cornercase.reduction._reduced_set_folder import complete_replacement
 
     wrong = []
     if ended.code not in (0, 1, 2):

@@ -9,7 +9,7 @@ import pytest
 
 import cornercase as cc
 from cornercase.evidence import Estimate
-from cornercase.report._near_misses import NearMiss, find_closest_approach
+from cornercase.report._near_misses import ClosestApproach, find_closest_approach
 from cornercase.report._report_data import read_report_data
 from cornercase.report.text._answers import page_answers
 from cornercase.report.text._phrases import format_range
@@ -92,4 +92,4 @@ def test_an_entity_that_is_nearest_where_it_was_placed_is_no_near_miss():
     placed = {"nearest": 1.4, "nearest time": 0.0}
     passed = {"nearest": 2.5, "nearest time": 3.0}
     assert find_closest_approach([placed], ["Van"], 0.0) is None
-    assert find_closest_approach([placed, passed], ["Van", "Car"], 0.0) == NearMiss("Car", 2.5, 3.0)
+    assert find_closest_approach([placed, passed], ["Van", "Car"], 0.0) == ClosestApproach("Car", 2.5, 3.0)

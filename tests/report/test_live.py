@@ -23,12 +23,12 @@ import pytest
 import cornercase as cc
 from cornercase._common.errors import InputError
 from cornercase.recordings import read_recording
-from cornercase.recordings._rounded import encode_rounded
-from cornercase.report._payload import page_payload
+from cornercase.recordings._compact_encoding import encode_rounded
 from cornercase.report._report_data import read_report_data
+from cornercase.report._report_payload import page_payload
 from cornercase.report.live._analysis_worker import AnalysisWorker
-from cornercase.report.live._events import Cursor, EventStream
 from cornercase.report.live._follower import StudyFollower, StudyProgress
+from cornercase.report.live._page_event_stream import Cursor, EventStream
 from cornercase.study import StudyFile, write_note
 from helpers.command_line import SPACE, X, cornercase
 from helpers.untrusted_files import whole_study
@@ -251,8 +251,8 @@ class Growing(StudyFollower):
 
     grow: Callable[[], object] | None = None
 
-    def digests_since(self, *arguments, **options):
-        found = super().digests_since(*arguments, **options)
+    def scenarios_since(self, *arguments, **options):
+        found = super().scenarios_since(*arguments, **options)
         if self.grow is not None:
             self.grow()
         return found

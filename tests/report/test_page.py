@@ -23,15 +23,15 @@ from cornercase._common.version import __version__
 from cornercase.clustering import analyze
 from cornercase.metrics.ending._find_outcome import find_outcome
 from cornercase.recordings import Collision, Recording
-from cornercase.recordings._rounded import encode_rounded
+from cornercase.recordings._compact_encoding import encode_rounded
 from cornercase.reduction import reduce
 from cornercase.report import summarize, write_report
-from cornercase.report._commands import format_command
+from cornercase.report._repeat_command import format_repeat_command
 from cornercase.report._report_data import read_report_data
 from cornercase.report.encode import _page_recordings as page_recordings
 from cornercase.report.text._answers import page_answers
 from cornercase.report.text._phrases import format_percent, format_value
-from cornercase.report.text._show import summary_to_dict
+from cornercase.report.text._summary_dict import summary_to_dict
 from cornercase.scenario import Parameter, ParameterSpace
 from cornercase.study import StudyFile, import_recordings
 from helpers.command_line import cornercase
@@ -393,7 +393,7 @@ def test_the_command_of_a_page_makes_the_study_again(tmp_path):
     found = cornercase("explore", f"{x}.xosc", "--space", f"{x}.space.xosc", *options, "--critical", 0.3, "-o", made)
     assert found.returncode == 0, found.stderr
     with StudyFile.open(made, readonly=True) as study:
-        name, *words = shlex.split(format_command(study.meta))
+        name, *words = shlex.split(format_repeat_command(study.meta))
         rows, scores = study.rows(), study.scores("wttc")
     assert (name, words[0], words[-2:]) == ("cornercase", "explore", ["-o", "study.db"])
     again = tmp_path / "again.db"

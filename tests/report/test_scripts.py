@@ -6,7 +6,7 @@ import importlib.resources
 import re
 from collections import Counter
 
-from cornercase.report import _page as page
+from cornercase.report import _report_page as page
 
 WEB = importlib.resources.files("cornercase.report.web")
 DECLARED = re.compile(r"^(?:async )?(?:function\*? |class |const |let |var )([A-Za-z_$][\w$]*)", re.MULTILINE)

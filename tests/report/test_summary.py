@@ -19,7 +19,7 @@ from matplotlib.text import Text
 from conftest import at_night
 from cornercase._common.errors import InputError
 from cornercase.clustering import Profile, analyze
-from cornercase.clustering._headline import has_useful_clusters
+from cornercase.clustering._headline_aspect import has_useful_clusters
 from cornercase.evidence import Estimate
 from cornercase.report import summarize, write_report
 from cornercase.report._estimates import CriticalEstimates, CriticalSetEstimates
@@ -27,7 +27,7 @@ from cornercase.report._report_data import read_report_data
 from cornercase.report.figures._example_scenarios import draw_example_scenarios
 from cornercase.report.figures._export import render_figure
 from cornercase.report.figures._parameter_space import draw_kernel_and_parameter_space
-from cornercase.report.html._tables import render_settings
+from cornercase.report.html._tables import render_clustering_settings
 from cornercase.report.text._answers import page_answers
 from cornercase.report.text._phrases import (
     describe_informativeness,
@@ -36,7 +36,7 @@ from cornercase.report.text._phrases import (
     format_criterion,
     format_range,
 )
-from cornercase.report.text._show import summary_to_dict
+from cornercase.report.text._summary_dict import summary_to_dict
 from cornercase.scenario import Parameter, ParameterSpace
 from cornercase.study import StudyFile
 from helpers.encounter_recordings import PASSES, entity, recording
@@ -118,7 +118,7 @@ def test_no_stability_is_told_where_all_are_one_group(path):
     assert told["stability"] is None
     one = next(one for one in found.candidates if one.stability == 1.0)
     two = replace(one, clusters=2, stability=0.75, eps=2.0 * one.eps)
-    table = render_settings(replace(found, candidates=(one, two)))
+    table = render_clustering_settings(replace(found, candidates=(one, two)))
     assert "<td>0.75</td>" in table
     assert "<td>1.00</td>" not in table.replace(f"<td>{one.score:.2f}</td></tr>", "")
 

@@ -15,13 +15,13 @@ import pytest
 import cornercase as cc
 from conftest import EXAMPLES
 from cornercase.report import write_test_cards
-from cornercase.report.cards._card import CardSource, fill_card
-from cornercase.report.cards._layout import CardTexts, arrange
+from cornercase.report.cards._card_contents import CardSource, make_card_values
+from cornercase.report.cards._layout import CardTexts, choose_layout
 from cornercase.report.cards._meeting import find_meeting
-from cornercase.report.cards._quantity import SettableQuantity, find_settable_quantity
-from cornercase.report.cards._rounded_runs import RoundedRun, RoundedRunner, reason_not_to_run, stored_run
+from cornercase.report.cards._movements import list_movements
+from cornercase.report.cards._rounded_runs import RoundedRun, RoundedRunner, read_stored_run, reason_not_to_run
 from cornercase.report.cards._rounding import count_roundings, iter_roundings
-from cornercase.report.cards._start_conditions import list_movements
+from cornercase.report.cards._settable_quantity import SettableQuantity, find_settable_quantity
 from cornercase.report.cards._tolerances import find_tolerances
 from cornercase.scenario import Parameter, ParameterSpace
 from cornercase.scenario._file import ScenarioFile
@@ -157,7 +157,7 @@ def test_a_rounding_that_keeps_the_outcome_is_preferred(study):
         kept = changed = otherwise = 0
         with RoundedRunner(opened, scenario) as runner:
             for row in rows:
-                original = stored_run(opened, row.id, row.values)
+                original = read_stored_run(opened, row.id, row.values)
                 roundings = list(iter_roundings(parameters, quantities, row.values))
                 chosen = runner.choose_rounding(original, roundings, len(roundings))
                 assert chosen.run is not None
@@ -230,7 +230,7 @@ def test_a_rounded_run_that_touches_an_entity_more_does_not_end_as_before(unmeas
     ids = ids_by_contact(unmeasured)
     with StudyFile.open(unmeasured) as opened:
         values = {row.id: row.values for row in opened.finished_rows()}
-        touches, does_not = (stored_run(opened, ids[key][0], values[ids[key][0]]) for key in (True, False))
+        touches, does_not = (read_stored_run(opened, ids[key][0], values[ids[key][0]]) for key in (True, False))
     assert not touches.meeting.collides
     assert not does_not.meeting.collides
     assert not replace(touches, is_critical=None).ends_like(replace(does_not, is_critical=None))
@@ -284,18 +284,22 @@ def test_the_64_nearest_roundings_are_tried_and_no_more_is_said():
 def test_no_more_is_said_of_roundings_than_was_tried(study, counts, expected):
     with StudyFile.open(study) as opened:
         row = opened.finished_rows()[0]
-        run = stored_run(opened, row.id, row.values)
+        run = read_stored_run(opened, row.id, row.values)
         rounded = RoundedRun(row.values, run, keeps_outcome=False, **counts)
-        card = fill_card(opened, CardSource(row.id, run, rounded, "", ""), None, [SettableQuantity("", None)] * 3)
+        card = make_card_values(
+            opened, CardSource(row.id, run, rounded, "", ""), None, [SettableQuantity("", None)] * 3
+        )
     assert card["verdict"]["text"].endswith(expected)
 
 
 def test_a_nearest_rounding_that_could_not_be_run_is_not_said_to_change_the_outcome(study):
     with StudyFile.open(study) as opened:
         row = opened.finished_rows()[0]
-        run = stored_run(opened, row.id, row.values)
+        run = read_stored_run(opened, row.id, row.values)
         rounded = RoundedRun(row.values, run, True, 8, 8, n_failed=1, is_nearest=False, reason="no road at x 3 m")
-        card = fill_card(opened, CardSource(row.id, run, rounded, "", ""), None, [SettableQuantity("", None)] * 3)
+        card = make_card_values(
+            opened, CardSource(row.id, run, rounded, "", ""), None, [SettableQuantity("", None)] * 3
+        )
     assert "The nearest rounding could not be run (no road at x 3 m)" in card["verdict"]["text"]
     assert "changed the outcome" not in card["verdict"]["text"]
 
@@ -320,7 +324,7 @@ def test_events_of_entities_that_the_ego_touches_are_shown_before_others():
         triggers=triggers, trigger_ranks=[2, 2, 1, 2, 2, 0], results=[("contact", "none", "none")] * 9,
         below_results="", conditions=["No contact of Ego with F."],
     )  # fmt: skip
-    layout = arrange(texts)
+    layout = choose_layout(texts)
     assert 2 <= len(layout.triggers) < 6
     assert [who for who, _, _ in layout.triggers][-1] == "F"
     assert "C" in [who for who, _, _ in layout.triggers]
@@ -375,7 +379,7 @@ def test_without_the_scenario_file_nothing_is_run_and_it_is_said(study, tmp_path
     alone.parent.mkdir()
     shutil.copy(study, alone)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr("cornercase.study._scenario_file.find_remembered_scenario", lambda fingerprint: None)
+    monkeypatch.setattr("cornercase.study._scenario_file.find_remembered_path", lambda fingerprint: None)
     monkeypatch.chdir(alone.parent)
     page = write_test_cards(alone, tmp_path / "cards.html", ids=[1]).read_text(encoding="utf-8")
     assert "was not run again: the scenario file x_intersection.xosc was not found" in page

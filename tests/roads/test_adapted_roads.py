@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cornercase._common.errors import InputError
-from cornercase._common.io.support_table import NoticeLabel, adapted_notices
+from cornercase._common.io.support_table import NoticeLabel, list_adaptation_notices
 from cornercase.roads._network import RoadNetwork
 from cornercase.scenario._xml import XmlFileCache
 from cornercase.simulators.builtin.tracks._nurbs import evaluate_nurbs
@@ -21,7 +21,7 @@ def read(path: Path) -> tuple[RoadNetwork, list[str]]:
     root = XmlFileCache().get_root(path)
     elements = list(root.iter())
     network = RoadNetwork.from_xml(root, path)
-    notices = adapted_notices(elements[0], path)
+    notices = list_adaptation_notices(elements[0], path)
     assert all(notice.label is NoticeLabel.ADAPTED and notice.rule for notice in notices)
     return network, [str(notice) for notice in notices]
 

@@ -74,14 +74,14 @@ def test_lanes_begin_and_end_with_their_sections(tmp_path):
         f'<laneSection s="40.03">{center}<right>{second}</right></laneSection>'
     )
     found = along(rn.network(tmp_path, rn.road("1", 100.0, sections=sections)), "1", -1, 10.0, True)
-    columns = found.columns_at(np.array([20.0, 39.9, 40.2, 60.0]), np.full(4, -4.0))
+    columns = found.lane_column_at(np.array([20.0, 39.9, 40.2, 60.0]), np.full(4, -4.0))
     assert columns.tolist() == [NO_LANE, NO_LANE, found.own + 1, found.own + 1]
 
 
 def test_a_point_on_a_border_belongs_to_the_left_lane_and_one_beside_the_road_to_none(tmp_path):
     network = rn.network(tmp_path, rn.road("1", 100.0, **TWO_WAY))
     sections = along(network, "1", -1, 50.0, True)
-    columns = sections.columns_at(np.full(5, 50.0), np.array([6.1, 6.0, 2.0, -2.0, -8.1]))
+    columns = sections.lane_column_at(np.full(5, 50.0), np.array([6.1, 6.0, 2.0, -2.0, -8.1]))
     assert [int(c) if c == NO_LANE else sections.own - int(c) for c in columns] == [NO_LANE, 1, 1, 0, NO_LANE]
 
 

@@ -12,7 +12,7 @@ from cornercase._common.errors import InputError
 from cornercase.scenario import LogicalScenario
 from cornercase.scenario._concrete_file import write_concrete_file
 from cornercase.scenario._file import ScenarioFile
-from cornercase.scenario._locate import find_scenario_file
+from cornercase.scenario._scenario_search import find_scenario_file
 from cornercase.simulators import simulate
 
 VEHICLE = """<Vehicle name="{name}" vehicleCategory="car"><BoundingBox><Center x="1.4" y="0" z="0.7"/>

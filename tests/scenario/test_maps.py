@@ -16,12 +16,12 @@ from cornercase import check, convert, explore
 from cornercase import run_suite as run_scenarios
 from cornercase._common.errors import InputError
 from cornercase.report._report_data import read_report_data
-from cornercase.report.live._analysis_worker import RoadAndRerunCache
+from cornercase.report.live._analysis_worker import RoadDrawingCache
 from cornercase.scenario import ConcreteScenario, LogicalScenario
 from cornercase.scenario._bundle import ScenarioBundle
 from cornercase.scenario._concrete_file import write_concrete_file
 from cornercase.scenario._file import ScenarioFile
-from cornercase.scenario._maps import MAPS_VARIABLE, search_maps_in
+from cornercase.scenario._maps import MAPS_VARIABLE, use_map_folders
 from cornercase.simulators import Esmini, simulate
 from cornercase.simulators.pool._simulator import WorkerSimulator
 from cornercase.study import StudyFile
@@ -67,7 +67,7 @@ def test_43_7_a_folder_of_carla_itself_serves(tmp_path, maps, place):
     path = town(tmp_path / "s")
     (inner := maps / place).parent.mkdir(parents=True)
     (maps / "Town01.xodr").rename(inner)
-    with search_maps_in([maps]):
+    with use_map_folders([maps]):
         assert ScenarioFile(path).road_path_for() == inner
     assert MAPS_VARIABLE not in os.environ
 
@@ -75,14 +75,14 @@ def test_43_7_a_folder_of_carla_itself_serves(tmp_path, maps, place):
 def test_43_7_a_file_that_is_named_and_there_goes_first(tmp_path, maps):
     path = town(tmp_path / "s", "Town01.xodr")
     (tmp_path / "s" / "Town01.xodr").write_text(ROAD)
-    with search_maps_in([maps]):
+    with use_map_folders([maps]):
         assert ScenarioFile(path).road_path_for() == tmp_path / "s" / "Town01.xodr"
         assert not [one for one in check(path).notices if one.rule]
 
 
 def test_43_7_the_map_counts_in_the_fingerprint(tmp_path, maps):
     path = town(tmp_path / "s")
-    with search_maps_in([maps]):
+    with use_map_folders([maps]):
         before = ScenarioFile(path).fingerprint()
         (maps / "Town01.xodr").write_text(ROAD.replace('length="500"', 'length="500.0"') + "<!-- other -->")
         assert ScenarioFile(path).fingerprint() != before
@@ -144,7 +144,7 @@ def test_43_7_every_command_that_reads_scenarios_takes_folders(tmp_path, maps):
 
 def test_43_7_workers_find_what_the_command_finds(tmp_path, maps):
     path = town(tmp_path / "s")
-    with search_maps_in([maps]):
+    with use_map_folders([maps]):
         one = simulate(path, {}, duration=1.0)
         asked = (
             "from cornercase.scenario._file import ScenarioFile; import sys; "
@@ -158,7 +158,7 @@ def test_43_7_workers_find_what_the_command_finds(tmp_path, maps):
 def test_43_7_a_map_that_is_lost_on_the_way_is_told_by_a_worker(tmp_path, maps):
     """The message of a worker process arrives unchanged."""
     path = town(tmp_path / "s")
-    with search_maps_in([maps]):
+    with use_map_folders([maps]):
         concrete = ConcreteScenario(path, {}, ScenarioFile.read(path))
         with WorkerSimulator("builtin", {"duration": 1.0}) as simulator:
             assert not isinstance(next(iter(simulator.run([concrete]))), Exception)
@@ -171,7 +171,7 @@ def test_43_7_a_map_that_is_lost_on_the_way_is_told_by_a_worker(tmp_path, maps):
 
 def test_43_7_other_machines_get_the_map_with_the_scenario(tmp_path, maps):
     path = town(tmp_path / "s", "/Game/Carla/Maps/Town01")
-    with search_maps_in([maps]):
+    with use_map_folders([maps]):
         scenario = ScenarioFile(path)
         fingerprint, parcel = scenario.fingerprint(), ScenarioBundle.from_file(scenario)
     (there := tmp_path / "there").mkdir()
@@ -184,7 +184,7 @@ def test_43_7_other_machines_get_the_map_with_the_scenario(tmp_path, maps):
 def test_43_7_what_is_written_holds_the_map_and_a_study_says_that_it_needs_it(tmp_path, maps):
     path = town(tmp_path / "s")
     study = tmp_path / "s" / "study.db"
-    with search_maps_in([maps]):
+    with use_map_folders([maps]):
         logical = LogicalScenario.read(path, None, ["speed=5:30"])
         explore(
             logical, study, ego="Ego", other="B", metrics=["distance"], optimizer="grid", budget=8, duration=3.0,
@@ -195,7 +195,7 @@ def test_43_7_what_is_written_holds_the_map_and_a_study_says_that_it_needs_it(tm
             InputError, match=r"differs from the scenario that .*study\.db was explored with: there is no road file 'To"
         ):
             find_explored_scenario(opened)
-        with search_maps_in([maps]):
+        with use_map_folders([maps]):
             scenario = find_explored_scenario(opened)
             assert scenario is not None
             write_concrete_file(scenario, {"speed": 7.0}, tmp_path / "set" / "one.xosc")
@@ -209,7 +209,7 @@ def test_43_7_esmini_refuses_a_map_that_it_would_not_find(tmp_path, maps):
     path, named = town(tmp_path / "s"), town(tmp_path / "t", "../maps/Town01.xodr")
     simulator = Esmini.__new__(Esmini)
     simulator._undriven, simulator._drivers = True, {}
-    with search_maps_in([maps]):
+    with use_map_folders([maps]):
         simulator.check_supported(ScenarioFile.read(named))
         with pytest.raises(InputError, match=r"names the road 'Town01', which was found as .*; name that file in"):
             simulator.check_supported(ScenarioFile.read(path))
@@ -218,7 +218,7 @@ def test_43_7_esmini_refuses_a_map_that_it_would_not_find(tmp_path, maps):
 def test_43_7_convert_leaves_the_name_of_carlas_map(tmp_path, maps):
     path = town(tmp_path / "s")
     (out := tmp_path / "out").mkdir()
-    with search_maps_in([maps]):
+    with use_map_folders([maps]):
         made = convert(path, out / "c.xosc", ego="Ego")
     assert 'filepath="Town01"' in made.path.read_text()
     assert not list(out.glob("*.xodr"))
@@ -244,10 +244,10 @@ def test_43_7_a_road_that_is_not_drawn_is_said_with_the_way_to_the_map(tmp_path,
 
 def test_43_7_a_page_that_is_served_says_once_that_the_map_is_missing(tmp_path, maps):
     path = town(tmp_path / "s")
-    with search_maps_in([maps]):
+    with use_map_folders([maps]):
         logical = LogicalScenario.read(path, None, ["speed=5:10"])
         explore(logical, tmp_path / "s" / "s.db", ego="Ego", other="B", metrics=["distance"], budget=2, duration=1.0)
-    around = RoadAndRerunCache(None)
+    around = RoadDrawingCache(None)
     with (
         StudyFile.open(tmp_path / "s" / "s.db", readonly=True) as study,
         warnings.catch_warnings(record=True) as caught,
@@ -255,5 +255,5 @@ def test_43_7_a_page_that_is_served_says_once_that_the_map_is_missing(tmp_path, 
         warnings.simplefilter("always")
         data = read_report_data(study, figures=False)
         for _ in range(2):
-            assert "--maps FOLDER" in around.payload(study, data)["roads_missing"]
+            assert "--maps FOLDER" in around.road_and_rerun_payload(study, data)["roads_missing"]
     assert len([one for one in caught if "--maps FOLDER" in str(one.message)]) == 1

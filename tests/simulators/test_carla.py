@@ -29,7 +29,7 @@ from cornercase.scenario._file import ScenarioFile
 from cornercase.scenario._xml import read_xml
 from cornercase.simulators import Carla
 from cornercase.simulators._server_addresses import worker_address
-from cornercase.simulators.carla import _dialect as dialect
+from cornercase.simulators.carla import _controller_assignment as dialect
 from cornercase.simulators.carla._openscenario_1_0 import ConversionOptions, write_openscenario_1_0
 from cornercase.simulators.carla._runner_environment import RunnerEnvironment
 from cornercase.simulators.pool._simulator import WorkerSimulator

@@ -13,7 +13,7 @@ import pytest
 
 import cornercase as cc
 from cornercase._common.errors import InputError, SimulationError
-from cornercase.drivers._system_under_test import ScalarFunction
+from cornercase.drivers._system_under_test import PerScenarioDriver
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import Builtin, Carla
 from cornercase.simulators.carla._agent_server import AGENT_FILE, AgentServer
@@ -110,7 +110,7 @@ def center_of(recording, k):
 
 def drive(world, driver, folder, duration=5.0):
     """Drive the ego on the stand-in, while all others move as in the builtin simulator; return centres of the ego."""
-    checked = ScalarFunction(driver)
+    checked = PerScenarioDriver(driver)
     concrete = ConcreteScenario(X, {})
     expected = reference_poses(concrete, driver if isinstance(driver, Aeb) else "normal", duration)
     with AgentServer(checked, concrete, "Ego", STEP, folder) as server:
@@ -186,7 +186,7 @@ def test_a_curve_is_followed_without_a_steering_angle(world, tmp_path):
     t = X.parents[1] / "t_intersection" / "t_intersection.xosc"
     concrete = ConcreteScenario(t, {})
     expected = reference_poses(concrete, Aeb(time_to_brake=0.0), 12.0)
-    checked = ScalarFunction(Aeb(time_to_brake=0.0))
+    checked = PerScenarioDriver(Aeb(time_to_brake=0.0))
     assert np.ptp(expected.heading[0]) > 1.0
     with AgentServer(checked, concrete, "Ego", STEP, tmp_path) as server:
         x, y = center_of(expected, 0)
@@ -232,7 +232,7 @@ def test_values_with_which_no_driver_can_start_cost_their_scenario_only(tmp_path
     """A search goes on after a scenario that failed; a file that is at fault itself ends it."""
 
     def start(path, values):
-        AgentServer(ScalarFunction(Aeb()), ConcreteScenario(path, values), "Ego", STEP, tmp_path)
+        AgentServer(PerScenarioDriver(Aeb()), ConcreteScenario(path, values), "Ego", STEP, tmp_path)
 
     with pytest.raises(SimulationError, match="the parameter ego_speed is 'nonsense', which is not a number"):
         start(X, {"ego_speed": "nonsense"})
@@ -244,7 +244,7 @@ def test_values_with_which_no_driver_can_start_cost_their_scenario_only(tmp_path
 
 
 def test_only_the_agent_is_answered(world, tmp_path):
-    checked = ScalarFunction(Aeb())
+    checked = PerScenarioDriver(Aeb())
     with AgentServer(checked, ConcreteScenario(X, {}), "Ego", STEP, tmp_path) as server:
         config = server.config_file.read_text()
         server.config_file.write_text(config.replace('"token": "', '"token": "0'))

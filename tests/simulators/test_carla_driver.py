@@ -9,7 +9,7 @@ from types import ModuleType, SimpleNamespace
 
 import pytest
 
-from cornercase.simulators.carla import _dialect as dialect
+from cornercase.simulators.carla import _controller_assignment as dialect
 
 carla = pytest.importorskip("carla", reason="the extra 'carla' is not installed")
 

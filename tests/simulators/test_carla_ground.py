@@ -17,8 +17,13 @@ from cornercase.roads._network import RoadNetwork
 from cornercase.scenario._file import ScenarioFile
 from cornercase.scenario._xml import read_xml
 from cornercase.simulators import simulate
-from cornercase.simulators.carla._ground import VERGE_WIDTH, find_entities_beyond_ground, is_flat, road_text_for_carla
 from cornercase.simulators.carla._openscenario_1_0 import ConversionOptions, make_concrete_tree, write_openscenario_1_0
+from cornercase.simulators.carla._road_conversion import (
+    VERGE_WIDTH,
+    find_entities_beyond_ground,
+    is_flat,
+    road_text_for_carla,
+)
 from helpers.isolation import REFERENCE, ROOT, scenario_files
 
 carla = pytest.importorskip("carla", reason="the extra 'carla' is not installed")

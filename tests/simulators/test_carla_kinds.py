@@ -9,7 +9,7 @@ import pytest
 from cornercase._common.errors import InputError
 from cornercase.scenario._file import ScenarioFile
 from cornercase.scenario._xml import read_xml
-from cornercase.simulators.carla._dialect import DrivingAgents
+from cornercase.simulators.carla._controller_assignment import DrivingAgents
 from cornercase.simulators.carla._openscenario_1_0 import ConversionOptions, write_openscenario_1_0
 from helpers.command_line import X
 from helpers.passing_cars import write_passing_cars

@@ -171,7 +171,7 @@ def test_43_2_what_others_wrote_for_carla_lies_on_its_towns() -> None:
     for path in sorted((WILD / "carla-simulator+scenario_runner").rglob("*.xosc")):
         scenario = ScenarioFile(path)
         road = scenario.road_path_for() if scenario.root.find("Storyboard") is not None else None
-        if road is None or not road.is_file() or not scenario.is_left_handed or "Town01" not in road.name:
+        if road is None or not road.is_file() or not scenario.has_left_handed_axes or "Town01" not in road.name:
             continue
         network = networks.setdefault(road, RoadNetwork.read(road) if road not in networks else networks[road])
         for position in scenario.root.iterfind("Storyboard/Init//WorldPosition"):

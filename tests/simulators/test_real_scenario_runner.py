@@ -21,8 +21,8 @@ from cornercase.scenario._file import ScenarioFile
 from cornercase.scenario._xml import read_xml
 from cornercase.simulators import Carla, simulate
 from cornercase.simulators.carla._client_process import find_client_version
-from cornercase.simulators.carla._ground import road_text_for_carla
 from cornercase.simulators.carla._openscenario_1_0 import ConversionOptions, write_openscenario_1_0
+from cornercase.simulators.carla._road_conversion import road_text_for_carla
 from cornercase.simulators.carla._runner_environment import RunnerEnvironment
 from cornercase.testing._agent_runs import measure_agent_motion
 from cornercase.testing._small_scenarios import LANE_Y, write_small_scenarios

@@ -21,11 +21,11 @@ from cornercase._common.errors import InputError
 from cornercase.scenario._file import ScenarioFile
 from cornercase.scenario._xml import read_xml
 from cornercase.simulators import Carla, convert, simulate
-from cornercase.simulators.carla._dialect import TRAJECTORY_FILE, DrivingAgents
+from cornercase.simulators.carla._controller_assignment import TRAJECTORY_FILE, DrivingAgents
 from cornercase.simulators.carla._openscenario_1_0 import ConversionOptions, write_openscenario_1_0
-from cornercase.simulators.carla._run_file import write_run_file
+from cornercase.simulators.carla._run_scenario_file import write_run_scenario
 from cornercase.simulators.carla._runner_environment import RunnerEnvironment
-from cornercase.simulators.carla._support_table import VERSIONS, HandlingStatus, find_row, load_support_table
+from cornercase.simulators.carla._support_table import VERSIONS, HandlingStatus, find_support_row, load_support_table
 from helpers.xml_schemas import Schema
 
 pytest.importorskip("qc_openscenario", reason="the schema comes with the extra 'validate'")
@@ -37,17 +37,17 @@ LIMITS = (0.25, 0.05, 0.25, 0.15)
 
 def test_the_table_knows_every_element_and_attribute_of_the_schema():
     def ends(path):
-        row = find_row(path)
+        row = find_support_row(path)
         return row is not None and row.status not in (HandlingStatus.EXECUTED, HandlingStatus.APPROXIMATE)
 
     with resources.as_file(resources.files("qc_openscenario") / "schema" / "1.3.0" / "OpenSCENARIO.xsd") as schema:
         places = Schema(schema).places("OpenSCENARIO", ends=ends)
-    gaps = [path for path in places if find_row(path) is None]
+    gaps = [path for path in places if find_support_row(path) is None]
     gaps += [
         (*path, name)
         for path, attributes in places.items()
         for name in attributes
-        if not ends(path) and find_row(path, name, "any other value") is None
+        if not ends(path) and find_support_row(path, name, "any other value") is None
     ]
     assert gaps == []
     assert len(places) > 200
@@ -106,16 +106,16 @@ def test_the_columns_of_versions_are_what_the_sources_say():
 
 def test_what_a_version_lacks_is_named_before_the_run(write, tmp_path, monkeypatch):
     path = write()
-    late = find_row(("SpeedAction",))
+    late = find_support_row(("SpeedAction",))
     assert late is not None
     newer = replace(late, versions=("0.9.15", "0.9.16"))
     monkeypatch.setitem(load_support_table(), ("SpeedAction", ""), (newer,))
     scenario, run = ScenarioFile.read(path), ConversionOptions(is_run=True)
     for version in ("0.9.15", ""):
-        write_run_file(scenario, {}, tmp_path / "one.xosc", ego="Ego", options=run, version=version)
+        write_run_scenario(scenario, {}, tmp_path / "one.xosc", ego="Ego", options=run, version=version)
     needs = r"ScenarioRunner 0\.9\.13 has no <SpeedAction>; use 0\.9\.15 or 0\.9\.16\."
     with pytest.raises(InputError, match=needs):
-        write_run_file(scenario, {}, tmp_path / "one.xosc", ego="Ego", options=run, version="0.9.13")
+        write_run_scenario(scenario, {}, tmp_path / "one.xosc", ego="Ego", options=run, version="0.9.13")
 
 
 def test_a_converted_file_says_which_version_it_needs(write, tmp_path):
@@ -124,7 +124,7 @@ def test_a_converted_file_says_which_version_it_needs(write, tmp_path):
     assert needs not in convert(write(), tmp_path / "two.xosc", ego="Ego").notes
     # In a run, the controller has the trajectory.
     scenario, run = ScenarioFile.read(write(action=OFFSET)), ConversionOptions(is_run=True)
-    write_run_file(scenario, {}, tmp_path / "three.xosc", ego="Ego", options=run, version="0.9.13")
+    write_run_scenario(scenario, {}, tmp_path / "three.xosc", ego="Ego", options=run, version="0.9.13")
 
 
 @pytest.mark.parametrize(

@@ -77,7 +77,7 @@ def test_a_spline_that_is_started_again_shows_at_once() -> None:
 
     one, held = spline(3.0), TrackPool()
     held.update([[one]])
-    one.copy_rows_from(spline(40.0), np.array([False, True]))
+    one.copy_scenarios_from(spline(40.0), np.array([False, True]))
     tracks = held.update([[one]])
     assert [kernels.trajectory_length(tracks, 0, n) for n in range(2)] == [3.0, 40.0]
     assert kernels.pose_on_track(tracks, 0, 1, 40.0, 0.0) == tuple(

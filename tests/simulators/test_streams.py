@@ -13,8 +13,8 @@ import pytest
 from cornercase._common.errors import InputError, SimulationError
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import Simulator
+from cornercase.simulators._executor import SimulatorExecutor
 from cornercase.simulators._results import run_scenarios
-from cornercase.simulators._stream import SimulatorStream
 from cornercase.simulators.pool._simulator import WorkerSimulator
 from helpers.fake_simulators import FailingSimulator, Plan
 from helpers.waiting import lives, until
@@ -39,7 +39,7 @@ def taken(stream, count):
 def test_processes_crash_hang_and_are_tried_again_as_in_rounds(tmp_path):
     plan = Plan(tmp_path, {1: ["crash", "well"], 2: ["hang"], 4: ["fail"], 5: ["nap"]})
     with WorkerSimulator("failing", {"plan": plan}, workers=3, timeout=2.0) as simulator:
-        stream = SimulatorStream({"": simulator})
+        stream = SimulatorExecutor({"": simulator})
         assert stream.count_parallel() == 3
         for k, one in enumerate(concretes(9)):
             stream.submit(k, partial(runs, one))
@@ -54,7 +54,7 @@ def test_processes_crash_hang_and_are_tried_again_as_in_rounds(tmp_path):
 
 def test_what_is_fast_does_not_wait_for_what_is_slow(tmp_path):
     with WorkerSimulator("failing", {"plan": Plan(tmp_path, {0: ["hang"]})}, workers=2) as simulator:
-        stream = SimulatorStream({"": simulator})
+        stream = SimulatorExecutor({"": simulator})
         for k, one in enumerate(concretes(6)):
             stream.submit(k, partial(runs, one))
         assert taken(stream, 5) == {k: k for k in range(1, 6)}
@@ -64,7 +64,7 @@ def test_what_is_fast_does_not_wait_for_what_is_slow(tmp_path):
 def test_a_stream_that_is_closed_ends_what_hangs(tmp_path):
     children = set(psutil.Process().children(recursive=True))
     with WorkerSimulator("failing", {"plan": Plan(tmp_path, {0: ["hang"], 1: ["child"]})}, workers=2) as simulator:
-        stream = SimulatorStream({"": simulator})
+        stream = SimulatorExecutor({"": simulator})
         for k, one in enumerate(concretes(4)):
             stream.submit(k, partial(runs, one))
         until((tmp_path / "children").exists)
@@ -80,7 +80,7 @@ def test_a_stream_that_is_closed_ends_what_hangs(tmp_path):
 def test_a_simulator_that_gives_nothing_any_more_is_at_fault_whoever_runs_it(tmp_path):
     plan = Plan(tmp_path, {k: ["crash"] for k in range(9)})
     with WorkerSimulator("failing", {"plan": plan}, workers=2, retries=0) as simulator:
-        stream = SimulatorStream({"": simulator})
+        stream = SimulatorExecutor({"": simulator})
         for k, one in enumerate(concretes(9)):
             stream.submit(k, partial(runs, one))
         with pytest.raises(InputError, match="no result in 5 scenarios in a row"):
@@ -89,7 +89,7 @@ def test_a_simulator_that_gives_nothing_any_more_is_at_fault_whoever_runs_it(tmp
 
 
 def test_one_of_this_process_runs_when_its_result_is_taken(tmp_path):
-    stream = SimulatorStream({"": FailingSimulator(plan=Plan(tmp_path))})
+    stream = SimulatorExecutor({"": FailingSimulator(plan=Plan(tmp_path))})
     assert stream.count_parallel() == 1
     for k, one in enumerate(concretes(3)):
         stream.submit(k, partial(runs, one))
@@ -111,7 +111,7 @@ def test_what_never_ends_is_waited_for_no_longer():
             return [self]
 
     ends = threading.Event()
-    stream = SimulatorStream({"": Deaf()})
+    stream = SimulatorExecutor({"": Deaf()})
     stream.submit(1, lambda _: ends.wait(60.0))
     begun = time.monotonic()
     stream.close(cancel_timeout=0.2)

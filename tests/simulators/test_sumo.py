@@ -16,7 +16,7 @@ import cornercase as cc
 from conftest import ran, same_recording
 from cornercase._common.errors import InputError
 from cornercase.drivers import EquippedDriver
-from cornercase.drivers._system_under_test import ScalarFunction
+from cornercase.drivers._system_under_test import PerScenarioDriver
 from cornercase.drivers.vehicles._vehicle_model import VEHICLES
 from cornercase.exploration._paper_examples import paper_experiment_config
 from cornercase.recordings import read_recording
@@ -104,7 +104,7 @@ class Aeb(cc.SystemUnderTest):
 
 
 def test_a_function_of_the_user_drives_as_in_the_builtin_simulator():
-    function = ScalarFunction(Aeb())
+    function = PerScenarioDriver(Aeb())
     # On the motorway the ego starts faster than the road allows.
     for path in (X, EXAMPLES / "r157" / "cut_in.xosc"):
         for driver in (function, EquippedDriver(function, vehicle=VEHICLES.create("kinematic"))):

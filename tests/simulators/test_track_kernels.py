@@ -176,7 +176,7 @@ def test_tables_follow_what_comes_and_changes() -> None:
     assert held.update([[one], []]) is tracks
     tracks = held.update([[one], [two, one]])
     assert tracks.rows.tolist() == [[0, -1], [1, 0]]
-    one.copy_rows_from(line(3.0), np.array([False, True]))
+    one.copy_scenarios_from(line(3.0), np.array([False, True]))
     tracks = held.update([[one], [two, one]])
     assert [pose_on_track(tracks, 0, n, 4.0, 0.0)[:2] for n in range(2)] == [(4.0, 0.0), (4.0, 3.0)]
     assert pose_on_track(tracks, 1, 1, 4.0, 1.0)[:2] == (4.0, 6.0)

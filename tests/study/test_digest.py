@@ -24,9 +24,9 @@ from cornercase.recordings import Collision, Recording
 from cornercase.study import StudyFile, verify
 from cornercase.study._checksums import delete_rows, insert_rows
 from cornercase.study._codec import pack_arrays, unpack_arrays
-from cornercase.study._digest import (
+from cornercase.study._scenario_digest import (
     decode_digest,
-    decode_facts,
+    decode_digest_facts,
     decode_features,
     downsample,
     encode_digest,
@@ -83,7 +83,7 @@ def test_a_digest_has_what_the_recording_gives(n_instants, stride):
     facts, packed = encode_digest(
         make_digest(recording, courses, meta, stride), measure_registered_features(recording, meta)
     )
-    digest = decode_digest(decode_facts(facts), packed, meta)
+    digest = decode_digest(decode_digest_facts(facts), packed, meta)
 
     assert (digest.n_instants, digest.begin, digest.end) == (n_instants, recording.time[0], recording.time[-1])
     assert digest.collisions == recording.collisions
@@ -203,9 +203,9 @@ def test_a_digest_that_does_not_fit_the_study_is_refused():
     recording, meta = crossing(90), about(SPACE, "distance")
     facts, packed = encode_digest(make_digest(recording, {}, meta, 1), measure_registered_features(recording, meta))
     with pytest.raises(ValueError, match="endings"):
-        decode_digest(decode_facts(facts) | {"endings": []}, packed, meta)
+        decode_digest(decode_digest_facts(facts) | {"endings": []}, packed, meta)
     with pytest.raises(ValueError, match="series"):
-        decode_digest(decode_facts(facts), packed, replace(meta, other=("B", "C")))
+        decode_digest(decode_digest_facts(facts), packed, replace(meta, other=("B", "C")))
 
 
 def test_stored_features_are_one_finite_number_each():

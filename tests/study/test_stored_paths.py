@@ -21,7 +21,7 @@ from cornercase import InputError, SimulationError
 from cornercase._common.text.sanitize import remove_folders
 from cornercase.study import StudyFile
 from cornercase.study._scenario_file import find_explored_scenario
-from cornercase.study._stored_paths import resolve_stored_path, stored_path
+from cornercase.study._stored_paths import format_stored_path, resolve_stored_path
 from helpers.checksums import changed
 from helpers.command_line import SPACE, X, cornercase
 
@@ -159,7 +159,7 @@ def test_42_s6_a_way_that_tells_how_somebodys_folders_lie_is_left_out(tmp_path, 
     monkeypatch.setattr(Path, "home", lambda: tmp_path / "home" / "bob")
     monkeypatch.chdir(tmp_path)
     for parts in ((tmp_path / file, tmp_path / study), (Path(file), Path(study))):
-        assert stored_path(*parts) == stored
+        assert format_stored_path(*parts) == stored
     there = tmp_path / file
     if there.suffix:
         there.parent.mkdir(parents=True, exist_ok=True)
@@ -170,7 +170,7 @@ def test_42_s6_a_way_that_tells_how_somebodys_folders_lie_is_left_out(tmp_path, 
 
 
 def test_42_s6_a_way_through_the_root_is_none(tmp_path):
-    assert stored_path(Path("/work/secret/x.xosc"), tmp_path / "s.db") == "x.xosc"
+    assert format_stored_path(Path("/work/secret/x.xosc"), tmp_path / "s.db") == "x.xosc"
 
 
 def test_42_s6_messages_are_stored_without_folders(tmp_path, written):
@@ -350,7 +350,7 @@ def test_a_file_that_cannot_be_read_is_passed_over_and_named_where_no_other_is_f
                 return is_file(path)
 
             context.setattr(Path, "is_file", forbidden)
-            context.setattr("cornercase.scenario._locate.ScenarioFile", _unreadable_below(explored))
+            context.setattr("cornercase.scenario._scenario_search.ScenarioFile", _unreadable_below(explored))
             assert found_path(file) == beside / "sub" / X.name
         shutil.rmtree(beside / "sub")
         (explored / X.name).write_text("<OpenSCENARIO>")

@@ -508,10 +508,10 @@ def test_a_kept_scenario_is_called_such_that_every_platform_takes_it(oddly_named
     with StudyFile.open(oddly_named, readonly=True) as study:
         assert study.meta.file_name.startswith("CON.")
         assert study.meta.title.startswith("CON.")
-    from cornercase._common.io.files import portable_name
+    from cornercase._common.io.files import make_portable_file_name
 
     for name in ("../../x", "..", "CON", "con.txt", "COM¹", "a\x1b[2Jb", "x" * 5000, "", ".bashrc", "C:\\x", "a/b"):
-        made = portable_name(name)
+        made = make_portable_file_name(name)
         assert made
         assert not {"/", "\\", ":", "\x1b"} & set(made)
         assert len(made.encode()) <= 151

@@ -413,7 +413,7 @@ def test_what_an_earlier_version_did_not_write_is_noted_when_the_search_goes_on(
         assert not again.space.is_admissible(np.array([[0.9, 0.5]])).any()
         # A search that does not know them does not take them away.
         with pytest.raises(InputError, match=r"the threshold 0.5"):
-            again.writer.resume(META)
+            again.writer.check_and_update_meta(META)
         assert again.meta == known
 
 

@@ -23,7 +23,7 @@ from cornercase.suite import ScenarioPair
 from cornercase.suite._recording_difference import compare_recording_pair
 from cornercase.suite.compare._choose_examples import choose_examples
 from cornercase.suite.compare._describe_comparison import describe_comparison
-from cornercase.suite.compare._match import compare_recordings
+from cornercase.suite.compare._match_scenarios import compare_recordings
 from cornercase.suite.compare._significance import holm_correct, mcnemar_p_value, score_difference, wilcoxon_p_value
 from cornercase.suite.compare._significance import test_pairs as changes_of
 from helpers.command_line import cornercase

@@ -14,7 +14,7 @@ from conftest import EXAMPLES
 from cornercase._common.errors import InputError
 from cornercase.drivers import generate_mutants
 from cornercase.reduction import read_reduction
-from cornercase.reduction._set_folder import MANIFEST
+from cornercase.reduction._reduced_set_folder import MANIFEST
 from cornercase.study import StudyFile
 from cornercase.suite import analyze_mutants
 from helpers.command_line import cornercase

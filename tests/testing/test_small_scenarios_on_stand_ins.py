@@ -14,7 +14,7 @@ import pytest
 from conftest import at_night
 from cornercase.simulators import Carla, CarMaker
 from cornercase.testing._deviations import run_small_scenario, run_with_agent
-from cornercase.testing._example_function import CarFollowing
+from cornercase.testing._example_driver import CarFollowing
 from cornercase.testing._small_scenarios import AGENT_DURATIONS, SMALL_SCENARIOS, write_small_scenarios
 from helpers.carla_or_stand_in import AGAIN_IF_THE_CLIENT_CRASHES, REAL, Served, free_port
 from helpers.carmaker_port import SmallTestRuns, small_port

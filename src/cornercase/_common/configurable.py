@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Final, Self
 
 from cornercase._common.errors import InputError
 from cornercase._common.plugin_errors import unwrap_factory
-from cornercase._common.unknown_names import refuse_unknown
+from cornercase._common.unknown_names import refuse_unknown_arguments
 
 # Name of the attribute in which an object keeps the options that it was given.
 _GIVEN_OPTIONS: Final = "_given_options"
@@ -82,7 +82,7 @@ def given_options(configured: object) -> dict[str, Any]:
     return dict(vars(configured).get(_GIVEN_OPTIONS, {}))
 
 
-def plain_options(configured: object) -> dict[str, bool | int | float | str]:
+def given_scalar_options(configured: object) -> dict[str, bool | int | float | str]:
     """Return the given options of an object whose values are of type bool, int, float or str."""
     return {
         name: value for name, value in given_options(configured).items() if isinstance(value, bool | int | float | str)
@@ -107,7 +107,9 @@ def describe_as_text(configured: Configurable) -> str:
     ``package.module:Class``.
     """
     cls = type(configured)
-    options = {name: value for name, value in plain_options(configured).items() if name not in cls.options_outside_name}
+    options = {
+        name: value for name, value in given_scalar_options(configured).items() if name not in cls.options_outside_name
+    }
     base = cls.name if cls.name and isinstance(cls.name, str) else f"{cls.__module__}:{cls.__qualname__}"
     return f"{base}:{','.join(_format_options(configured, options, format_option_value))}" if options else base
 
@@ -120,7 +122,7 @@ def require_storable_options(
     `described` names options that the study compares in another way. `hint` is a clause of the message that says what
     to do.
     """
-    stored = {*plain_options(configured), *configured.options_outside_name, *described}
+    stored = {*given_scalar_options(configured), *configured.options_outside_name, *described}
     defaults = _factory_defaults(configured)
     for name, value in given_options(configured).items():
         if name not in stored and not (name in defaults and _is_equal(value, defaults[name])):
@@ -164,7 +166,7 @@ def declared_options(factory: Callable[..., Any]) -> dict[str, Parameter]:
     return {name: parameter for name, parameter in parameters.items() if parameter.kind in named}
 
 
-def options_for_numbers(factory: Callable[..., Any]) -> list[str]:
+def list_numeric_option_names(factory: Callable[..., Any]) -> list[str]:
     """Return the names of the options that take numbers, judged by annotation or, if missing, by default value."""
 
     def takes_numbers(parameter: Parameter) -> bool:
@@ -184,7 +186,7 @@ def annotated_types(annotation: object) -> set[str]:
     return {*re.findall(r"\w+", text)} - {"None", "Optional", "Union", "typing", "types"}
 
 
-def with_numbers(configured: Any, numbers: Mapping[str, float]) -> Any:
+def copy_with_numeric_options(configured: Any, numbers: Mapping[str, float]) -> Any:
     """Return a copy of a configured object in which some options have new numbers.
 
     Options that the constructor declares as int get an int. Raises `ValueError` if such a number is not whole.
@@ -214,7 +216,7 @@ def _remember_options(constructor: Callable[..., None]) -> Callable[..., None]:
     def construct(self: Configurable, *positional: Any, **options: Any) -> None:
         cls = type(self)
         if not takes_all:
-            refuse_unknown(cls.__name__, names, options)
+            refuse_unknown_arguments(cls.__name__, names, options)
         # A constructor may call the constructor of the base class, which is wrapped, too.
         if _GIVEN_OPTIONS in vars(self):
             constructor(self, *positional, **options)

@@ -57,7 +57,7 @@ def _hide_settings_files() -> Iterator[None]:
 _hide_settings: Final = _SharedContext(_hide_settings_files)
 
 
-class _SettingsFinder:
+class _SettingsHidingFinder:
     """Import hook that hides settings files in the current folder from the libraries that look for them there."""
 
     def find_spec(
@@ -91,8 +91,8 @@ def _redirect_settings(module: ModuleType) -> None:
 
 def ignore_settings_of_current_folder() -> None:
     """Keep libraries that are imported after this call from reading settings in the current folder."""
-    if not any(isinstance(finder, _SettingsFinder) for finder in sys.meta_path):
-        sys.meta_path.insert(0, _SettingsFinder())
+    if not any(isinstance(finder, _SettingsHidingFinder) for finder in sys.meta_path):
+        sys.meta_path.insert(0, _SettingsHidingFinder())
         for name in _SETTINGS_FILES.keys() & sys.modules.keys():
             _redirect_settings(sys.modules[name])
 
@@ -174,7 +174,7 @@ def _isolate_spawned_children() -> Iterator[None]:
 
     parts: tuple[Any, Any] = spawn, util
     data, arguments = parts[0].get_preparation_data, parts[1]._args_from_interpreter_flags
-    parts[0].get_preparation_data = lambda name: _preparation_data(data(name))
+    parts[0].get_preparation_data = lambda name: _isolate_preparation_data(data(name))
     # Without -P, Python puts the current folder first, as its code is given on the command line.
     parts[1]._args_from_interpreter_flags = lambda: [*arguments(), "-P"]
     try:
@@ -183,7 +183,7 @@ def _isolate_spawned_children() -> Iterator[None]:
         parts[0].get_preparation_data, parts[1]._args_from_interpreter_flags = data, arguments
 
 
-def _preparation_data(data: dict[str, Any]) -> dict[str, Any]:
+def _isolate_preparation_data(data: dict[str, Any]) -> dict[str, Any]:
     """Return the start data of a child process, without the user's script and without the current folder."""
     without_script = {name: value for name, value in data.items() if not name.startswith("init_main")}
     return {**without_script, "sys_path": _child_sys_path()}
@@ -224,7 +224,7 @@ def _child_sys_path() -> list[str]:
         if _main_folder() == current
         else []
     )
-    if current in _named_folders():
+    if current in _list_declared_import_folders():
         entries = [entry for entry in sys.path if entry]
     else:
         entries = [entry for entry in sys.path if entry and os.path.realpath(entry) != current] + own_folder
@@ -232,7 +232,7 @@ def _child_sys_path() -> list[str]:
     return entries if package in entries else [*entries, package]
 
 
-def _named_folders() -> set[str]:
+def _list_declared_import_folders() -> set[str]:
     """Return the folders named by PYTHONPATH or by a .pth file of an installed package, such as an editable package."""
     names = [] if sys.flags.ignore_environment else os.environ.get("PYTHONPATH", "").split(os.pathsep)
     for installed in (*site.getsitepackages(), *((site.getusersitepackages(),) if site.ENABLE_USER_SITE else ())):

@@ -155,7 +155,7 @@ def is_machine_error(error: BaseException | None) -> bool:
     return False
 
 
-class short_errors(ContextDecorator):  # noqa: N801
+class hide_input_error_traceback(ContextDecorator):  # noqa: N801
     """Context manager or decorator for public functions: hide the traceback inside cornercase of an `InputError`.
 
     The cause of the error is hidden, too, unless the user's code or the machine is at fault.

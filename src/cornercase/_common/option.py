@@ -9,7 +9,7 @@ from dataclasses import MISSING, Field, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from cornercase._common.unknown_names import Function, refuse_unknown
+from cornercase._common.unknown_names import Function, refuse_unknown_arguments
 from cornercase._common.validation import (
     check_bool,
     check_float,
@@ -25,7 +25,7 @@ _LINE_LENGTH: Final = 110
 _CLAUSE: Final = re.compile(r"[;.:]( |$)")
 
 
-class _Kind(NamedTuple):
+class _OptionType(NamedTuple):
     """Type of an option on the command line and in documentation."""
 
     command_type: Any
@@ -34,26 +34,26 @@ class _Kind(NamedTuple):
 
 # Types of options by the annotation of the field, without None.
 _KINDS: Final = {
-    "str": _Kind(str, "str"),
-    "Path | str": _Kind(Path, "path"),
-    "str | Client": _Kind(str, "str or distributed.Client"),
-    "str | Optimizer": _Kind(str, "str or Optimizer"),
-    "str | Simulator": _Kind(str, "str or Simulator"),
-    "StopRule | Sequence[StopRule | str]": _Kind(list[str], "StopRule or sequence of StopRule or str"),
-    "Metric | str | Sequence[Metric | str]": _Kind(list[str], "Metric or str, or sequence of these"),
-    "int": _Kind(int, "int"),
-    "float": _Kind(float, "float"),
-    "bool": _Kind(bool, "bool"),
-    "tuple[str, ...]": _Kind(list[str], "sequence of str"),
-    "str | Sequence[str]": _Kind(list[str], "str or sequence of str"),
-    "Mapping[str, float]": _Kind(list[str], "mapping of str to float"),
-    "Mapping[str, DriverLike]": _Kind(list[str], "mapping of str to str, SystemUnderTest or Driver"),
+    "str": _OptionType(str, "str"),
+    "Path | str": _OptionType(Path, "path"),
+    "str | Client": _OptionType(str, "str or distributed.Client"),
+    "str | Optimizer": _OptionType(str, "str or Optimizer"),
+    "str | Simulator": _OptionType(str, "str or Simulator"),
+    "StopRule | Sequence[StopRule | str]": _OptionType(list[str], "StopRule or sequence of StopRule or str"),
+    "Metric | str | Sequence[Metric | str]": _OptionType(list[str], "Metric or str, or sequence of these"),
+    "int": _OptionType(int, "int"),
+    "float": _OptionType(float, "float"),
+    "bool": _OptionType(bool, "bool"),
+    "tuple[str, ...]": _OptionType(list[str], "sequence of str"),
+    "str | Sequence[str]": _OptionType(list[str], "str or sequence of str"),
+    "Mapping[str, float]": _OptionType(list[str], "mapping of str to float"),
+    "Mapping[str, DriverLike]": _OptionType(list[str], "mapping of str to str, SystemUnderTest or Driver"),
 }
 
 
 @dataclass(frozen=True)
 class Option:
-    """Description of an option; `read_options` adds the name, type and default of the dataclass field."""
+    """Description of an option; `collect_options` adds the name, type and default of the dataclass field."""
 
     help: str
     """Help text on the command line; may use metavars."""
@@ -107,7 +107,7 @@ class Option:
         return self.annotation.startswith("Mapping")
 
     @property
-    def has_numbers(self) -> bool:
+    def has_numeric_values(self) -> bool:
         """True if the option is a mapping whose values are numbers."""
         return self.annotation.endswith("float]")
 
@@ -171,7 +171,9 @@ class Option:
         if not self.is_mapping:
             return check_str_sequence(self.name, value)
         values = check_mapping(self.name, value)
-        return {name: check_float(self.name, item) for name, item in values.items()} if self.has_numbers else values
+        return (
+            {name: check_float(self.name, item) for name, item in values.items()} if self.has_numeric_values else values
+        )
 
 
 def _quote(value: object) -> str:
@@ -184,7 +186,7 @@ def option(default: Any, text: str, **description: Any) -> Any:
     return field(**values, metadata={"option": Option(text, **description)})
 
 
-def read_options(*groups: type[Any]) -> dict[str, Option]:
+def collect_options(*groups: type[Any]) -> dict[str, Option]:
     """Return the options of dataclasses by name; only fields made with `option` are options."""
     return {
         item.name: replace(
@@ -209,7 +211,7 @@ def _read_default(item: Field[Any]) -> Any:
 
 def check_options(function: str, options: Mapping[str, Option], given: Mapping[str, Any]) -> dict[str, Any]:
     """Check the keyword arguments of a function, and fill in defaults; `TypeError` for unknown names."""
-    refuse_unknown(function, options, given)
+    refuse_unknown_arguments(function, options, given)
     return {name: item.check(given.get(name, item.default)) for name, item in options.items()}
 
 
@@ -221,14 +223,16 @@ def document_options(options: Mapping[str, Option]) -> Callable[[Function], Func
 
     def decorate(function: Function) -> Function:
         for mark, is_required in (("    REQUIRED", True), ("    OPTIONS", False)):
-            text = "\n".join(_document(item) for item in options.values() if (item.default is ...) == is_required)
+            text = "\n".join(
+                _format_documentation(item) for item in options.values() if (item.default is ...) == is_required
+            )
             function.__doc__ = (function.__doc__ or "").replace(mark, text)
         return function
 
     return decorate
 
 
-def _document(item: Option) -> str:
+def _format_documentation(item: Option) -> str:
     indent = " " * 8
     text = textwrap.fill(
         item.docs, _LINE_LENGTH, initial_indent=indent, subsequent_indent=indent, break_on_hyphens=False

@@ -179,7 +179,7 @@ def block_interrupts(*other_signals: signal.Signals) -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def search_libraries_in(folder: Path) -> None:
+def add_library_folder(folder: Path) -> None:
     """On Windows, add a folder in which shared libraries find other libraries that they need; else do nothing."""
     if sys.platform == "win32":
         os.add_dll_directory(str(folder))

@@ -22,7 +22,7 @@ from cornercase._common.plugin_errors import (
 )
 from cornercase._common.process.signals import count_requests
 from cornercase._common.text.sanitize import format_exception
-from cornercase._common.validation import not_an_object
+from cornercase._common.validation import not_an_object_error
 
 T = TypeVar("T")
 
@@ -106,7 +106,11 @@ class Registry(Generic[T]):
         dict of str to object
         """
         names = [value.partition(":")[0] for value in values if isinstance(value, str)]
-        return {name: self._factories[name] for name in names if name in self._factories and not self._is_own(name)}
+        return {
+            name: self._factories[name]
+            for name in names
+            if name in self._factories and not self._is_built_in_name(name)
+        }
 
     def restore(self, registrations: Mapping[str, Any]) -> None:
         """Register the names that another process has exported.
@@ -118,7 +122,7 @@ class Registry(Generic[T]):
         """
         self._factories = {**registrations, **self._factories}
 
-    def check_own_name(self, instance: Any) -> None:
+    def check_name_not_taken(self, instance: Any) -> None:
         """Raise `InputError` if the name of an object belongs to another registered class.
 
         Otherwise, results of the object would be taken for results of that class.
@@ -144,7 +148,7 @@ class Registry(Generic[T]):
                 " `name`."
             )
 
-    def _is_own(self, name: str) -> bool:
+    def _is_built_in_name(self, name: str) -> bool:
         """Return whether a registered name belongs to a factory of cornercase, not of the user's program."""
         factory, _ = self._factories[name]
         return factory.startswith("cornercase.") if isinstance(factory, str) else is_built_in(unwrap_factory(factory))
@@ -205,7 +209,7 @@ class Registry(Generic[T]):
         """
         base, _, text = (name if isinstance(name, str) else name.__qualname__).partition(":")
         if isinstance(name, str):
-            self._require_known(name)
+            self._refuse_class_path(name)
         factory = self.get_factory(name if isinstance(name, type) else base)
         if not text:
             if isinstance(name, str) and name != base:
@@ -268,7 +272,7 @@ class Registry(Generic[T]):
         if isinstance(value, str) and value:
             return self.create(value)
         if isinstance(value, str) or self._base is None or not isinstance(value, self._base):
-            raise not_an_object(parameter, value)
+            raise not_an_object_error(parameter, value)
         return value
 
     def get_factory(self, name: str | type[T]) -> Callable[..., T]:
@@ -310,7 +314,7 @@ class Registry(Generic[T]):
         """
         if not isinstance(name, str):
             return name if isinstance(name, type) else type(name)
-        self._require_known(name)
+        self._refuse_class_path(name)
         loaded, _ = self._load(name.partition(":")[0])
         if not isinstance(loaded, type):
             raise InputError(
@@ -318,7 +322,7 @@ class Registry(Generic[T]):
             )
         return loaded
 
-    def _require_known(self, name: str) -> None:
+    def _refuse_class_path(self, name: str) -> None:
         """Raise `InputError` for ``"module:Class"`` in place of a name; the message says how to register a class."""
         base, _, text = name.partition(":")
         if base not in self and text.isidentifier():

@@ -61,13 +61,13 @@ ATTRIBUTE_SYNONYMS: Final = {
 }
 
 
-def unknown_attribute(owner: str, name: str) -> AttributeError:
+def unknown_attribute_error(owner: str, name: str) -> AttributeError:
     """Return the `AttributeError` for a missing attribute, with a hint if the name is used by another library."""
     hint = ATTRIBUTE_SYNONYMS.get(name)
     return AttributeError(f"{owner} has no attribute '{name}'{'' if hint is None else f'; {hint}'}", name=name)
 
 
-def refuse_unknown(
+def refuse_unknown_arguments(
     function: str, options: Collection[str], given: Collection[str], other_names: Mapping[str, str] | None = None
 ) -> None:
     """Raise `TypeError`, as Python does, if a keyword argument in `given` is not an option of the function.
@@ -77,11 +77,11 @@ def refuse_unknown(
     """
     for name in given:
         if name not in options:
-            hint = _describe_argument(name, options, other_names or {})
+            hint = _suggest_argument(name, options, other_names or {})
             raise TypeError(f"{function}() got an unexpected keyword argument '{name}'; {hint}")
 
 
-def _describe_argument(name: str, options: Collection[str], other_names: Mapping[str, str]) -> str:
+def _suggest_argument(name: str, options: Collection[str], other_names: Mapping[str, str]) -> str:
     for word, option, hint in (*_ARGUMENT_SYNONYMS, *((word, option, "") for word, option in other_names.items())):
         if word == name and option in options:
             return hint or f"did you mean '{option}'?"
@@ -97,7 +97,7 @@ def suggest_arguments(function: Function, other_names: Mapping[str, str] | None 
 
     @wraps(function)
     def call(*positional: Any, **given: Any) -> Any:
-        refuse_unknown(function.__qualname__.removesuffix(".__init__"), parameters, given, other_names)
+        refuse_unknown_arguments(function.__qualname__.removesuffix(".__init__"), parameters, given, other_names)
         return function(*positional, **given)
 
     return cast(Function, call)

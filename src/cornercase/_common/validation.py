@@ -101,7 +101,7 @@ def check_path(name: str, value: object) -> Path:
     raise InputError(f"`{name}` {repr_short(value)}: give the path of a file or folder.")
 
 
-def not_an_object(name: str, value: object, hint: str = "give an object or its name") -> InputError:
+def not_an_object_error(name: str, value: object, hint: str = "give an object or its name") -> InputError:
     """Return the `InputError` for an argument that has to be an object; for a class, advise to make an object."""
     if isinstance(value, type):
         return InputError(f"`{name}`: {value.__name__} is a class; give an object of it, as in {value.__name__}().")

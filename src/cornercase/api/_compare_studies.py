@@ -7,11 +7,11 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 
 from cornercase import suite
-from cornercase._common.errors import short_errors
+from cornercase._common.errors import hide_input_error_traceback
 from cornercase._common.validation import check_path
 from cornercase.api._study import Study
 from cornercase.api._written_page import Page
-from cornercase.exploration._problem import name_arguments_of_objects, suggest_arguments
+from cornercase.exploration._problem import rename_arguments_in_errors, suggest_arguments
 from cornercase.report import write_comparison
 
 
@@ -59,7 +59,7 @@ class Comparison(suite.Comparison):
         return Page(write_comparison(self, *self.studies, path))
 
 
-@short_errors()
+@hide_input_error_traceback()
 @suggest_arguments
 def compare(
     old: Study | suite.SuiteResult | Path | str,
@@ -107,7 +107,7 @@ def compare(
     <Page 'compare.html'>
     """
     paths = _path_of("old", old), _path_of("new", new)
-    with name_arguments_of_objects():
+    with rename_arguments_in_errors():
         result = suite.compare(*paths, metrics=metrics, critical=threshold, tolerances=tolerances)
     values = {item.name: getattr(result, item.name) for item in fields(result)}
     return Comparison(**values, studies=paths)

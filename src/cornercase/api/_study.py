@@ -9,30 +9,30 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Self
 
-from cornercase._common.errors import InputError, short_errors
+from cornercase._common.errors import InputError, hide_input_error_traceback
 from cornercase._common.io.files import check_writable_file
 from cornercase._common.io.support_table import issue_each_notice_once
 from cornercase._common.memory import DEFAULT_MEMORY
 from cornercase._common.progress import can_show_bar
 from cornercase._common.text.notebook_html import render_html, render_html_table
 from cornercase._common.typing import FloatArray
-from cornercase._common.unknown_names import ATTRIBUTE_SYNONYMS, unknown_attribute
+from cornercase._common.unknown_names import ATTRIBUTE_SYNONYMS, unknown_attribute_error
 from cornercase._common.validation import check_int, check_path
-from cornercase.api._simulator_fields import simulator_fields
+from cornercase.api._simulator_settings import extract_exploration_settings
 from cornercase.api._written_page import Page
 from cornercase.exploration import Estimation, ExplorationResult, Problem, Runs
 from cornercase.exploration._best_scores import is_on_pareto_front
 from cornercase.exploration._config import ExplorationConfig, config_from_study, simulator_from_study
 from cornercase.exploration._explore import explore_config, simulator_from_config
-from cornercase.exploration._explore_options import stored_search_settings
+from cornercase.exploration._explore_options import read_stored_search_options
 from cornercase.exploration._problem import (
     config_from_problem,
-    name_arguments_of_objects,
     problem_from_study,
+    rename_arguments_in_errors,
     suggest_arguments,
 )
 from cornercase.exploration._runs import run_settings, single_run_settings
-from cornercase.metrics._own_metrics import as_items
+from cornercase.metrics._own_metrics import as_metric_tuple
 from cornercase.optimizers._stored_optimizer import known_optimizer
 from cornercase.study import StudyFile, StudyMeta
 from cornercase.study._study_file import open_study
@@ -103,7 +103,10 @@ class Study(PathLike[str]):
     ) -> None:
         self.path = check_path("path", path)
         self._problem, self._seed = problem, None if seed is None else check_int("seed", seed, 0)
-        self._simulator, self._simulator_fields = simulator, {} if simulator is None else simulator_fields(simulator)
+        self._simulator, self._simulator_settings = (
+            simulator,
+            {} if simulator is None else extract_exploration_settings(simulator),
+        )
         self._scenario = None if scenario is None else check_path("scenario", scenario)
         self._issued_notices: set[str] = set()
 
@@ -224,7 +227,7 @@ class Study(PathLike[str]):
         if not study.path.exists():
             check_writable_file("path", study.path)
             return study
-        with study._read() as file, name_arguments_of_objects():
+        with study._read() as file, rename_arguments_in_errors():
             config = study._make_config(file.meta)
             with simulator_from_config(config) as configured:
                 settings = configured.settings
@@ -237,7 +240,7 @@ class Study(PathLike[str]):
         if not isinstance(problem, Problem):
             raise InputError(f"`problem`: give a Problem, not a {type(problem).__name__}.")
         study = cls(path, problem, simulator, seed=seed)
-        with name_arguments_of_objects():
+        with rename_arguments_in_errors():
             config = study._make_config(None)
             config.require_entities()
             # It only describes the simulator, and checks options and drivers.
@@ -251,7 +254,7 @@ class Study(PathLike[str]):
 
         def __getattr__(self, name: str) -> Any:
             if name in ATTRIBUTE_SYNONYMS:
-                raise unknown_attribute("'Study' object", name)
+                raise unknown_attribute_error("'Study' object", name)
             # Also raises the error of a property.
             return object.__getattribute__(self, name)
 
@@ -269,7 +272,7 @@ class Study(PathLike[str]):
         """
         if self._problem is not None:
             return self._problem
-        with self._read() as file, name_arguments_of_objects():
+        with self._read() as file, rename_arguments_in_errors():
             return problem_from_study(file, self._scenario)
 
     @property
@@ -289,7 +292,7 @@ class Study(PathLike[str]):
         """
         if self._simulator is not None:
             return self._simulator
-        with name_arguments_of_objects(), self._read() as file:
+        with rename_arguments_in_errors(), self._read() as file:
             return simulator_from_study(file.meta, self.path)
 
     @property
@@ -389,7 +392,7 @@ class Study(PathLike[str]):
             "warm_start": None if warm_start is None else check_path("warm_start", warm_start),
             **run_settings(runs),
         }
-        with name_arguments_of_objects():
+        with rename_arguments_in_errors():
             meta = None
             if self.path.exists():
                 with self._read() as file:
@@ -477,7 +480,7 @@ class Study(PathLike[str]):
         """
         from cornercase.clustering import analyze
 
-        with name_arguments_of_objects():
+        with rename_arguments_in_errors():
             return analyze(
                 self._file,
                 by,
@@ -575,7 +578,7 @@ class Study(PathLike[str]):
         from cornercase.reduction import reduce
 
         similarity = {} if within is None else {"within": within}
-        with name_arguments_of_objects():
+        with rename_arguments_in_errors():
             return reduce(
                 self._file,
                 folder,
@@ -631,7 +634,7 @@ class Study(PathLike[str]):
         """
         from cornercase.report import write_report
 
-        with name_arguments_of_objects():
+        with rename_arguments_in_errors():
             return Page(
                 write_report(
                     self._file,
@@ -720,7 +723,7 @@ class Study(PathLike[str]):
         """
         from cornercase.report import replay
 
-        with name_arguments_of_objects():
+        with rename_arguments_in_errors():
             return Page(
                 replay(
                     self._file,
@@ -787,7 +790,7 @@ class Study(PathLike[str]):
         """
         from cornercase.exploration import estimate
 
-        with name_arguments_of_objects():
+        with rename_arguments_in_errors():
             return estimate(
                 self._file,
                 path,
@@ -796,9 +799,9 @@ class Study(PathLike[str]):
                 encounter=encounter,
                 seed=seed,
                 scenario=self._scenario_path(),
-                simulator=self._simulator_fields.get("simulator"),
-                drivers=self._simulator_fields.get("drivers"),
-                metrics=() if self._problem is None else as_items(self._problem.metrics),
+                simulator=self._simulator_settings.get("simulator"),
+                drivers=self._simulator_settings.get("drivers"),
+                metrics=() if self._problem is None else as_metric_tuple(self._problem.metrics),
                 **single_run_settings(runs, "an estimate"),
                 progress=progress,
             )
@@ -956,7 +959,7 @@ class Study(PathLike[str]):
                     " search a Problem with one metric or with `weights`."
                 )
         with (
-            name_arguments_of_objects(),
+            rename_arguments_in_errors(),
             open_study(self._file, readonly=True, critical=threshold) as file,
             file.snapshot(),
         ):
@@ -1014,7 +1017,7 @@ class Study(PathLike[str]):
         """
         from cornercase.report import summarize
 
-        with name_arguments_of_objects():
+        with rename_arguments_in_errors():
             return summarize(self._file, critical=threshold)
 
     @suggest_arguments
@@ -1045,7 +1048,7 @@ class Study(PathLike[str]):
             raise InputError(f"{self.path}: no scenario was run yet; run some with `explore`.")
         return self.path
 
-    @short_errors()
+    @hide_input_error_traceback()
     def _read(self) -> StudyFile:
         """Open the file for reading."""
         return StudyFile.open(self._file)
@@ -1055,12 +1058,12 @@ class Study(PathLike[str]):
         if self._problem is None:
             return replace(self._config_to_continue(), **settings)
         if meta is not None:
-            settings = {**stored_search_settings(meta), "optimizer": known_optimizer(meta.optimizer)} | settings
-        return config_from_problem(self._problem, seed=self.seed, **self._simulator_fields, **settings)
+            settings = {**read_stored_search_options(meta), "optimizer": known_optimizer(meta.optimizer)} | settings
+        return config_from_problem(self._problem, seed=self.seed, **self._simulator_settings, **settings)
 
     def _config_to_continue(self) -> ExplorationConfig:
         """Return the configuration that the file stores; a simulator given to `open` replaces the stored simulator."""
-        fields = dict(self._simulator_fields)
+        fields = dict(self._simulator_settings)
         with self._read() as file:
             config = config_from_study(
                 file,

@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
-from cornercase._common.errors import short_errors
+from cornercase._common.errors import hide_input_error_traceback
 from cornercase._common.text.notebook_html import render_html_table
 from cornercase._common.validation import check_path
-from cornercase.api._simulator_fields import simulator_fields
+from cornercase.api._simulator_settings import extract_exploration_settings
 from cornercase.drivers._resolve import DriverLike, check_drivers
 from cornercase.exploration import Runs
 from cornercase.exploration._problem import suggest_arguments
@@ -62,7 +62,7 @@ class Suite:
         self._ego, self._other = ego, other
 
     @classmethod
-    @short_errors()
+    @hide_input_error_traceback()
     @suggest_arguments
     def open(cls, path: Path | str, *, ego: str | None = None, other: str | Sequence[str] | None = None) -> Self:
         """Open a suite.
@@ -89,7 +89,7 @@ class Suite:
         """
         return cls(path, ego=ego, other=other)
 
-    @short_errors()
+    @hide_input_error_traceback()
     @suggest_arguments
     def run(
         self,
@@ -160,7 +160,7 @@ class Suite:
         NoticeWarning
             Something in the files has no effect in the simulator.
         """
-        fields = {} if simulator is None else simulator_fields(simulator)
+        fields = {} if simulator is None else extract_exploration_settings(simulator)
         fields["drivers"] = {**fields.get("drivers", {}), **check_drivers(drivers)}
         return run_suite(
             self.path,

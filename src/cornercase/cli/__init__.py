@@ -28,7 +28,7 @@ from cornercase.cli import (  # noqa: F401
     warm_up,
 )
 from cornercase.cli.errors import run_command
-from cornercase.cli.option_names import print_notices
+from cornercase.cli.option_names import install_notice_printer
 from cornercase.cli.options import app, show_tracebacks
 
 # Instead of Python's 700: the many long-lived objects of packages would be scanned three times at import.
@@ -47,7 +47,7 @@ def main() -> None:
 
 def _run_app() -> object:
     replace_unencodable_output()
-    print_notices()
+    install_notice_printer()
     install_signal_handlers()
     show_tracebacks.set(False)
     return app(standalone_mode=False)

@@ -44,7 +44,11 @@ def with_options(*names: str, **defaults: str) -> Callable[[Function], Function]
             if "drivers" in options:
                 texts = [arguments.pop(name) or () for name in ("drivers", *DRIVER_OPTIONS)]
                 arguments["drivers"] = combine_drivers(*texts)
-            parsed = {name: _parse(option, arguments[name]) for name, option in options.items() if name in arguments}
+            parsed = {
+                name: _convert_option_value(option, arguments[name])
+                for name, option in options.items()
+                if name in arguments
+            }
             return function(**arguments | parsed)
 
         command.__signature__ = own.replace(parameters=parameters)  # type: ignore[attr-defined]
@@ -78,13 +82,13 @@ def _make_parameter(option: Option) -> Parameter:
     )
 
 
-def _parse(option: Option, value: Any) -> Any:
+def _convert_option_value(option: Option, value: Any) -> Any:
     """Convert the value of an option from the command line or a study file to what the API takes."""
     if not value and option.is_list:
         return option.default
     if not option.is_mapping or isinstance(value, dict):
         return value
-    return (parse_numbers if option.has_numbers else parse_pairs)(value, option.flag)
+    return (parse_numbers if option.has_numeric_values else parse_pairs)(value, option.flag)
 
 
 class SectionedCommand(TyperCommand):

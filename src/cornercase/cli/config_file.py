@@ -21,7 +21,7 @@ _COMMAND_LINE_ONLY: Final = ("output", "maps", "profile", "config")
 _MAX_BYTES: Final = 1_000_000
 
 
-def read_study_file(path: Path) -> dict[str, Any]:
+def read_explore_options(path: Path) -> dict[str, Any]:
     """Read options of `explore` from a TOML file, by name in Python.
 
     Raises `InputError` if an option is unknown or has a wrong type, or could run code or name outputs.
@@ -102,7 +102,7 @@ def _require_numeric_options(path: Path, text: str, option: Option) -> None:
 def _load_defaults(context: typer.Context, path: Path | None) -> Path | None:
     """Use the options in a study file (TOML) as defaults of the command line."""
     if path is not None:
-        context.default_map = {**(context.default_map or {}), **read_study_file(path)}
+        context.default_map = {**(context.default_map or {}), **read_explore_options(path)}
     return path
 
 

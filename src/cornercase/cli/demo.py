@@ -57,7 +57,7 @@ def demo(
     )
     scenario, study = configuration.logical.scenario_file, folder / "study.db"
     with compile_in_parallel():
-        opt.print_ending(explore_config(configuration, study, progress=True))
+        opt.finish_exploration_command(explore_config(configuration, study, progress=True))
         with StudyFile.open(study, readonly=False) as opened:
             clustering.analyze(opened, progress=True)
             # First, as the study stores only the last reduced set.

@@ -42,7 +42,7 @@ def run_command(command: Callable[[], Any]) -> int:
         if sys.stdout is not None:
             sys.stdout.flush()
     except _UsageError as error:
-        _say_plainly(error)
+        _reword_usage_error(error)
         # click prints several lines; err.print removes control characters from what they quote.
         message = io.StringIO()
         error.show(message)
@@ -66,16 +66,16 @@ def run_command(command: Callable[[], Any]) -> int:
             return 1
         if isinstance(error, SystemExit) and _is_raised_by_typer(error):
             return error.code if isinstance(error.code, int) else 0
-        _print_error(_describe_error(error), _expression_excerpt(error))
+        _print_error(_describe_error(error), _find_expression_excerpt(error))
         return 1 if isinstance(error, StudyLostError) else 2
     # Between commands, typer treats every interrupt as Ctrl-C.
     return interrupt_exit_code() if code == 128 + signal.SIGINT else code if isinstance(code, int) else 0
 
 
-def _say_plainly(error: Any) -> None:
+def _reword_usage_error(error: Any) -> None:
     """Reword click's error about options in place: list all missing options, or say what is wrong with a value."""
     if type(error).__name__ == "MissingParameter":
-        error.message = _list_missing(error.ctx)
+        error.message = _describe_missing_options(error.ctx)
         return
     cause = error.__cause__
     if type(cause).__module__.startswith("pydantic") and (problems := cause.errors()):
@@ -91,7 +91,7 @@ def _say_plainly(error: Any) -> None:
         error.message = f"{problem['input']!r} {reasons.get(problem['type'], 'cannot be used here')}."
 
 
-def _list_missing(context: Any) -> str:
+def _describe_missing_options(context: Any) -> str:
     """Return sentences that list all missing options, if several are missing, and the entities of the scenario.
 
     Click itself names only the first missing option.
@@ -137,7 +137,7 @@ def _print_error(sentence: str, excerpt: str = "") -> None:
     err.print("\n".join([f"cornercase: {shorten(line, MAX_LINE_LENGTH)}", *excerpt.splitlines()]))
 
 
-def _expression_excerpt(error: BaseException | None) -> str:
+def _find_expression_excerpt(error: BaseException | None) -> str:
     """Return the lines that show where an expression is wrong; empty if the error is not about an expression."""
     # An error can be among its own causes if it was raised again from one of them.
     seen = list[BaseException]()
@@ -153,7 +153,7 @@ def _describe_error(error: BaseException) -> str:
     if isinstance(error, InputError | StudyLostError):
         return str(error)
     frames = [frame for frame, _ in traceback.walk_tb(error.__traceback__)]
-    file = _file_in_use(frames)
+    file = _find_file_in_use(frames)
     prefix = f"{file}: " if file else ""
     if isinstance(error, MemoryError):
         return f"{prefix}needs more memory than available; use fewer or smaller files, or a machine with more memory."
@@ -166,7 +166,7 @@ def _describe_error(error: BaseException) -> str:
         target = error.filename if isinstance(error.filename, str) else "the output, or a temporary file"
         return f"{target}: cannot be read or written ({error.strerror}); make room, or choose another path."
     fault = "is nested too deep" if isinstance(error, RecursionError) else "met a fault of cornercase itself"
-    place = _fault_location(error)
+    place = _describe_fault_location(error)
     if not isinstance(error, Exception):
         # Not raised by cornercase, but by user code, for example with sys.exit().
         return f"user code ended the command with {describe_error(error)}; fix that code."
@@ -176,7 +176,7 @@ def _describe_error(error: BaseException) -> str:
     )
 
 
-def _file_in_use(frames: list[FrameType]) -> Path | None:
+def _find_file_in_use(frames: list[FrameType]) -> Path | None:
     """Return the file that the innermost function was working on, or else a file in the arguments; None if none."""
     values = (value for frame in reversed(frames) for value in frame.f_locals.values() if isinstance(value, Path))
     return next(filter(_is_file, chain(values, map(Path, sys.argv[2:]))), None)
@@ -189,7 +189,7 @@ def _is_file(path: Path) -> bool:
         return False
 
 
-def _fault_location(error: BaseException) -> str:
+def _describe_fault_location(error: BaseException) -> str:
     """Return module and line in cornercase where an error occurred, so that the same bug gets the same message."""
     for frame in reversed(traceback.extract_tb(error.__traceback__)):
         path = Path(frame.filename)

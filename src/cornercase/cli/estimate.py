@@ -48,9 +48,9 @@ def estimate(
         study, output, budget=budget, encounter=encounter, scenario=scenario, **options, progress=True
     )
     if as_json:
-        from cornercase.report.text._show import estimate_to_dict
+        from cornercase.report.text._summary_dict import replace_words_by_keys
 
-        opt.print_json(estimate_to_dict(estimation.to_json()))
+        opt.print_json(replace_words_by_keys(estimation.to_json()))
     else:
         _print_estimation(estimation)
     if estimation.interrupted:

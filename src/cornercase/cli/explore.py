@@ -49,4 +49,4 @@ def explore(
     """
     from cornercase import exploration
 
-    opt.print_ending(exploration.explore(scenario, output, **options, progress=True))
+    opt.finish_exploration_command(exploration.explore(scenario, output, **options, progress=True))

@@ -36,12 +36,12 @@ def use_option_names(message: str) -> str:
     A driver by entity, ``{'Ego': 'normal'}``, becomes ``Ego=normal``.
     """
     message = _DRIVER.sub(r"as in \1=\2", message)
-    names = _names_on_command_line()
+    names = _map_names_to_options()
     return _QUOTED.sub(lambda match: names.get(match[1], match[0]), message)
 
 
 @cache
-def _names_on_command_line() -> dict[str, str]:
+def _map_names_to_options() -> dict[str, str]:
     """Return options and commands by the names of the Python parameters and functions that they stand for."""
     commands: dict[str, Any] = vars(get_command(app))["commands"]
     options = {
@@ -53,7 +53,7 @@ def _names_on_command_line() -> dict[str, str]:
     return options | _OPTION_BY_PARAMETER | {name: f"'cornercase {name}'" for name in commands if name not in options}
 
 
-def print_notices() -> None:
+def install_notice_printer() -> None:
     """From now on, print each `NoticeWarning` as a line on stderr; print a `RuntimeWarning` only with ``--debug``."""
     show = warnings.showwarning
 

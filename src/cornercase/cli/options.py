@@ -167,12 +167,12 @@ def _prepare_json(context: typer.Context, value: bool) -> bool:
 Json = Annotated[bool, Option("--json", help="Print JSON, for programs.", callback=_prepare_json)]
 
 
-def _search_maps(context: typer.Context, folders: list[Path] | None) -> None:
+def _add_map_folders(context: typer.Context, folders: list[Path] | None) -> None:
     """Add the folders of ``--maps`` and of the environment variable to the map folders while the command runs."""
-    from cornercase.scenario._maps import MAPS_VARIABLE, search_maps_in
+    from cornercase.scenario._maps import MAPS_VARIABLE, use_map_folders
 
     if folders or os.environ.get(MAPS_VARIABLE):
-        context.with_resource(search_maps_in(folders or ()))
+        context.with_resource(use_map_folders(folders or ()))
 
 
 Maps = Annotated[
@@ -182,14 +182,14 @@ Maps = Annotated[
         metavar="FOLDER",
         help="Folder with road files, for maps that scenarios name without a path, such as CARLA's Town01; repeat it"
         " for several. It is searched before the folders in CORNERCASE_MAPS.",
-        callback=_search_maps,
+        callback=_add_map_folders,
         expose_value=False,
     ),
 ]
 
 
 @app.callback(invoke_without_command=True)
-def _global_options(
+def _apply_global_options(
     version: Annotated[bool, Option("--version", help="Show the version and exit.")] = False,
     debug: Annotated[
         bool, Option("--debug", envvar="CORNERCASE_DEBUG", help="Also show tracebacks: cornercase --debug explore …")
@@ -216,7 +216,7 @@ _MAX_REASONS: Final = 3
 _MAX_REASON_LENGTH: Final = 300
 
 
-def print_ending(result: ExplorationResult) -> None:
+def finish_exploration_command(result: ExplorationResult) -> None:
     """Print how an exploration ended; end the command if it was interrupted, failed, or only checked proposals."""
     if result.reproducible is not None:
         out.print(f"{result.study}: {result.reason}.")

@@ -61,7 +61,9 @@ def paper(
         configuration = paper_experiment_config(
             _EXAMPLES[name], budget=budget, seed=seed, driver=driver, folder=output / "scenario"
         )
-        opt.print_ending(explore_config(replace(configuration, optimizer=_OPTIMIZER), path, progress=True))
+        opt.finish_exploration_command(
+            explore_config(replace(configuration, optimizer=_OPTIMIZER), path, progress=True)
+        )
     else:
         for option, is_given in (("--budget", budget is not None), ("--seed", seed != 0), ("--driver", bool(driver))):
             if is_given:

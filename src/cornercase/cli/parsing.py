@@ -21,7 +21,7 @@ def parse_pairs(texts: Sequence[str], option: str) -> dict[str, str]:
                 hint = "put the entity before the equals sign" if not sign else "give both"
                 spec = value or name or "normal"
                 if option in ("--driver", "--sut"):
-                    from cornercase.drivers._missing_prefix import add_prefix
+                    from cornercase.drivers._prefix_hints import add_prefix
 
                     spec = add_prefix(spec)
                 raise InputError(f"{option} {text}: write it as ENTITY=NAME, as in Ego={spec}; {hint}.")

@@ -74,7 +74,7 @@ def report(
     """
     from cornercase.report import write_report
     from cornercase.report._index_page import write_index
-    from cornercase.report._one_page import write_one_page
+    from cornercase.report._one_page_summary import write_one_page_summary
 
     if test_cards or ids is not None:
         unused = {"--figures": figures, "--figures-in": figures_in is not None, "--against": against is not None}
@@ -93,7 +93,7 @@ def report(
     if one_page:
         if figures or figures_in is not None or scenario is not None:
             raise InputError("--one-page: has no figures and no road; leave --figures, --figures-in, --scenario out.")
-        page = write_one_page(study, output, critical=critical, memory=memory)
+        page = write_one_page_summary(study, output, critical=critical, memory=memory)
         out.print(f"The summary is {page.resolve()}")
         return
     page = write_report(
@@ -232,15 +232,15 @@ def show(
       cornercase show study.db --config > study.toml
     """
     from cornercase.report import summarize
-    from cornercase.report._commands import format_study_file
+    from cornercase.report._repeat_command import format_toml_study_file
     from cornercase.report._sentences import iter_sentences
-    from cornercase.report.text._show import replace_keys_by_words, summary_to_dict
+    from cornercase.report.text._summary_dict import replace_keys_by_words, summary_to_dict
     from cornercase.study._study_file import open_study
 
     if config:
         if as_json or show_all or critical is not None:
             raise InputError("--config: prints how the study was made; leave --json, --all and --critical out.")
-        sys.stdout.write(format_study_file(study))
+        sys.stdout.write(format_toml_study_file(study))
         return
     if not as_json and not show_all:
         with open_study(study, readonly=True, critical=critical) as opened, opened.snapshot():

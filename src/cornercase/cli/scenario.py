@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from cornercase._common.errors import InputError
-from cornercase._common.extras import describe_install
+from cornercase._common.optional_packages import describe_install
 from cornercase._common.text.sanitize import shorten
 from cornercase._common.version import __version__
 from cornercase.cli import options as opt
@@ -78,7 +78,7 @@ def check(
             n_bad += 1
             continue
         _print_check(report, drivers or {}, printed)
-        is_refused = simulator is not None and not _print_effects(report, simulator, drivers, ego)
+        is_refused = simulator is not None and not _print_simulator_effects(report, simulator, drivers, ego)
         n_bad += is_refused or not report.is_valid
     if len(scenarios) > 1:
         strictly = ", break no rule" if strict else ""
@@ -89,7 +89,7 @@ def check(
 
 def _print_check(report: Any, drivers: Mapping[str, str], printed: set[tuple[str, str]]) -> None:
     """Print the report of a check, without notices that were `printed` for an earlier file with the same road."""
-    from cornercase.drivers._describe import describe_driver
+    from cornercase.drivers._driver_overview import describe_driver
 
     for key, count in report.contents.items():
         out.print(f"{key}: {count}")
@@ -133,13 +133,13 @@ def _print_check(report: Any, drivers: Mapping[str, str], printed: set[tuple[str
     out.print(f"{'can' if not report.run_errors else 'cannot'} be run, in builtin of cornercase {__version__}")
 
 
-def _print_effects(report: Any, simulator: str, drivers: Mapping[str, str] | None, ego: str) -> bool:
+def _print_simulator_effects(report: Any, simulator: str, drivers: Mapping[str, str] | None, ego: str) -> bool:
     """Print what a simulator ignores or replaces in a scenario; return True if the simulator can run the scenario."""
-    from cornercase.simulators._effects import describe_effects
+    from cornercase.simulators._ignored_or_replaced import describe_ignored_or_replaced
 
     name = simulator.partition(":")[0]
     try:
-        sentences = describe_effects(simulator, report.path, drivers=drivers, ego=ego)
+        sentences = describe_ignored_or_replaced(simulator, report.path, drivers=drivers, ego=ego)
     except InputError as error:
         out.print(shorten(use_option_names(f"{name} cannot run it: {error}").replace("\n", "\\n"), MAX_LINE_LENGTH))
         return False

@@ -62,7 +62,7 @@ def analyze(
       cornercase analyze study.db --by wttc --gamma 1 --eps 0.2 --min-samples 6
     """
     from cornercase import clustering
-    from cornercase.evidence._bands import bands_of_study
+    from cornercase.evidence._criticality_bands import bands_of_study
     from cornercase.study._study_file import open_study
 
     if explore_settings is not None:
@@ -71,7 +71,7 @@ def analyze(
         for option, is_given in given.items():
             if is_given:
                 raise InputError(f"--explore-settings, {option}: give one of them; the page shows many settings.")
-        _explore_settings(
+        _write_clustering_settings_page(
             study, explore_settings, by, workers=workers, cluster=cluster, critical=critical, memory=memory
         )
         return
@@ -109,10 +109,10 @@ def analyze(
             out.print(bands.describe(), markup=False)
 
 
-def _explore_settings(study: Path, page: Path, by: list[str] | None, **options: Any) -> None:
+def _write_clustering_settings_page(study: Path, page: Path, by: list[str] | None, **options: Any) -> None:
     """Write a page that shows the effect of clustering settings; aspects without clusters are analyzed first."""
     from cornercase import clustering
-    from cornercase.report import write_settings_page
+    from cornercase.report import write_clustering_settings_page
     from cornercase.study._study_file import open_study
 
     with open_study(study, readonly=True) as opened:
@@ -120,7 +120,7 @@ def _explore_settings(study: Path, page: Path, by: list[str] | None, **options: 
     missing = [name for name in by if name not in analyzed] if by else None
     if missing or not (by or analyzed):
         clustering.analyze(study, missing, progress=True, **options)
-    written = write_settings_page(study, page, by or (), progress=True)
+    written = write_clustering_settings_page(study, page, by or (), progress=True)
     out.print(f"The page is {written.resolve()}")
 
 
@@ -214,7 +214,7 @@ def reduce(
     """
     from cornercase import reduction
     from cornercase.clustering import read_analysis
-    from cornercase.evidence._bands import BANDS_PREFIX
+    from cornercase.evidence._criticality_bands import BANDS_PREFIX
     from cornercase.reduction._reduce import default_aspect
     from cornercase.reduction._write_files import write_chosen_scenarios
     from cornercase.report._sentences import describe_selected_dangers

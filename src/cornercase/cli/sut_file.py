@@ -22,7 +22,7 @@ def read_sut_file(path: Path) -> dict[str, str]:
     The file may name Python code, since the user gives the file on the command line.
     """
     specs = {
-        entity: _read_entity(f"{path}: [{entity}]", table)
+        entity: _format_entity_spec(f"{path}: [{entity}]", table)
         for entity, table in parse_toml(path, read_utf8(path, _MAX_BYTES)).items()
     }
     if not specs:
@@ -30,7 +30,7 @@ def read_sut_file(path: Path) -> dict[str, str]:
     return specs
 
 
-def _read_entity(where: str, table: Any) -> str:
+def _format_entity_spec(where: str, table: Any) -> str:
     if not isinstance(table, Mapping):
         raise InputError(f'{where}: is no table; write [Ego] on a line, and below it driver = "normal".')
     _check_keys(where, table, _ENTITY_KEYS)
@@ -38,27 +38,27 @@ def _read_entity(where: str, table: Any) -> str:
     if len(names) != 1:
         problem = "has both 'driver' and 'sut', which mean the same; keep one" if names else "has no 'driver'; add one"
         raise InputError(f"{where}: {problem}.")
-    parts = [_join(f"{where}, {names[0]}", table[names[0]], table.get("options", {}))]
+    parts = [_format_name_with_options(f"{where}, {names[0]}", table[names[0]], table.get("options", {}))]
     sensors = table.get("sensors", [])
     if not isinstance(sensors, list):
         raise InputError(f"{where}: 'sensors' is no list; write sensors = [\"radar:range=120\"].")
-    parts += [_read_part(f"{where}, sensors {k}", sensor) for k, sensor in enumerate(sensors, 1)]
+    parts += [_format_equipment_spec(f"{where}, sensors {k}", sensor) for k, sensor in enumerate(sensors, 1)]
     if "vehicle" in table:
-        parts.append(_read_part(f"{where}, vehicle", table["vehicle"]))
+        parts.append(_format_equipment_spec(f"{where}, vehicle", table["vehicle"]))
     return SEPARATOR.join(parts)
 
 
-def _read_part(where: str, part: Any) -> str:
+def _format_equipment_spec(where: str, part: Any) -> str:
     """Return the text of a sensor or vehicle from `part`, which is a text or a table with name and options."""
     if not isinstance(part, Mapping):
-        return _join(where, part, {})
+        return _format_name_with_options(where, part, {})
     _check_keys(where, part, _PART_KEYS)
     if "name" not in part:
         raise InputError(f"{where}: has no 'name'; add one.")
-    return _join(where, part["name"], part.get("options", {}))
+    return _format_name_with_options(where, part["name"], part.get("options", {}))
 
 
-def _join(where: str, name: Any, options: Any) -> str:
+def _format_name_with_options(where: str, name: Any, options: Any) -> str:
     """Return a name with its options as one text, as on the command line: ``name:key=value``."""
     if not isinstance(name, str) or not name.strip():
         raise InputError(f'{where}: is no text; write it as on the command line, as in "normal:horizon=4".')

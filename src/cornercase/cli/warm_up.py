@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Final
 import typer
 
 from cornercase.cli.options import app, err, out
-from cornercase.metrics._own_metrics import as_items
+from cornercase.metrics._own_metrics import as_metric_tuple
 
 if TYPE_CHECKING:
     from cornercase._common.typing import FloatArray
@@ -65,7 +65,7 @@ def warm_up() -> None:
         ):
             # Notices about the examples do not matter here.
             warnings.simplefilter("ignore")
-            for package, run in _runs_by_room(Path(folder)):
+            for package, run in _iter_runs_by_package(Path(folder)):
                 bar.update(count_ready_kernels()[0], package)
                 run()
         bar.update(count_ready_kernels()[1], "", count_ready_kernels()[1])
@@ -122,12 +122,12 @@ def compile_late_kernels() -> None:
     from cornercase.metrics._ending import find_outcome
 
     exit_when_stdin_closes()
-    crossing = _crossing_recording()
+    crossing = _make_crossing_recording()
     metrics.measure(crossing, "Ego", "Other", ["wttc"])
     for dimensions in (2, 4, 1):
         dtw.distance_matrix([np.zeros((2, dimensions)), np.ones((2, dimensions))], dtype="float32", n_jobs=1)
     find_outcome(crossing, "Ego", "Other")
-    clustering.cluster(_two_group_distances())
+    clustering.cluster(_make_two_group_distances())
 
 
 def _import_kernels() -> None:
@@ -138,7 +138,7 @@ def _import_kernels() -> None:
             import_module(".".join(("cornercase", *path.relative_to(package).with_suffix("").parts)))
 
 
-def _runs_by_room(folder: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
+def _iter_runs_by_package(folder: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
     """Yield small runs, each after the name of the package that it uses; all runs together compile all kernels."""
     from cornercase import clustering, drivers, metrics, optimizers, reduction, report, simulators
     from cornercase._common.errors import InputError
@@ -156,11 +156,11 @@ def _runs_by_room(folder: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
         yield "reduction", partial(reduction.reduce, study, reduced, scenario=scenario)
         yield "evidence", partial(report.summarize, study)
     # The few scenarios of an example may have no groups.
-    yield "clustering", partial(clustering.cluster, _two_group_distances())
+    yield "clustering", partial(clustering.cluster, _make_two_group_distances())
     # With few scenarios all pairwise distances are computed.
     yield "reduction", _reduce_large_set
     # Short runs never reach a crossing.
-    yield "clustering", partial(find_outcome, _crossing_recording(), "Ego", "Other")
+    yield "clustering", partial(find_outcome, _make_crossing_recording(), "Ego", "Other")
     simulate = partial(simulators.simulate, scenario, duration=_DURATION)
     for plugin in drivers.DRIVERS.names():
         # An FMU and a program are files of the user.
@@ -169,10 +169,10 @@ def _runs_by_room(folder: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
     for plugin in drivers.VEHICLES.names():
         # This driver is not compiled, so that the vehicle's own kernels are.
         yield "drivers", partial(simulate, drivers={"Ego": f"cc-human + {plugin}"})
-    yield "drivers", partial(simulate, drivers={"Ego": _looking_function()})
+    yield "drivers", partial(simulate, drivers={"Ego": _make_lane_reading_driver()})
     yield "metrics", partial(metrics.measure, simulate(), config.ego, config.other)
     for plugin in optimizers.OPTIMIZERS.names():
-        changed = replace(config, optimizer=plugin, critical=1.0, metrics=as_items(config.metrics)[:1])
+        changed = replace(config, optimizer=plugin, critical=1.0, metrics=as_metric_tuple(config.metrics)[:1])
 
         def explore(searched: ExplorationConfig = changed, study: Path = folder / f"{plugin}.db") -> None:
             try:
@@ -184,7 +184,7 @@ def _runs_by_room(folder: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
         yield "optimizers", explore
 
 
-def _looking_function() -> SystemUnderTest:
+def _make_lane_reading_driver() -> SystemUnderTest:
     from cornercase.drivers import SystemUnderTest, View
 
     class Looking(SystemUnderTest):
@@ -209,14 +209,14 @@ def _reduce_large_set() -> None:
     )
 
 
-def _two_group_distances() -> FloatArray:
+def _make_two_group_distances() -> FloatArray:
     import numpy as np
 
     positions = np.concatenate([np.linspace(0.0, 1.0, 12), np.linspace(9.0, 10.0, 12)])
     return np.asarray(np.abs(np.subtract.outer(positions, positions)))
 
 
-def _crossing_recording() -> Recording:
+def _make_crossing_recording() -> Recording:
     import numpy as np
 
     from cornercase import recordings

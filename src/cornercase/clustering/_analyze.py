@@ -24,13 +24,13 @@ from cornercase.clustering._embedding import Distances, EmbeddedDistances
 from cornercase.clustering._landmarks import MAX_ALL_PAIRS, PairwiseComparer, assign_by_landmarks, cluster_by_landmarks
 from cornercase.clustering._scenario_clustering import ScenarioClustering
 from cornercase.clustering._series import (
-    aspect_series,
+    compute_aspect_series,
     create_aspect,
     default_aspects,
-    digested_series,
     distance_unit,
     require_known_aspect,
     require_same_channels,
+    series_from_digest,
     window_in_instants,
 )
 from cornercase.clustering._stored_analysis import (
@@ -44,7 +44,7 @@ from cornercase.clustering.naming._predicates import NamingFacts
 from cornercase.clustering.naming._profiles import profile_clusters
 from cornercase.metrics._outcome import Outcome
 from cornercase.study import StudyFile
-from cornercase.study._digest import downsample, downsampling_stride
+from cornercase.study._scenario_digest import downsample, downsampling_stride
 from cornercase.study._study_file import open_study
 
 if TYPE_CHECKING:
@@ -168,7 +168,7 @@ def analyze(
 
 
 @dataclass(frozen=True, eq=False)
-class _Inputs:
+class _AnalysisInputs:
     """Time series and other inputs of all scenarios that were run.
 
     They come from stored digests (downsampled recordings), and from recordings if the digests do not contain them.
@@ -261,7 +261,7 @@ def _read_inputs(
     *,
     with_times: bool,
     n_sampled: int = _SAMPLED_RECORDINGS,
-) -> _Inputs:
+) -> _AnalysisInputs:
     """Read the inputs of all scenarios; after `n_sampled` of them, refuse what will not fit in memory."""
     outcomes, traits, times = [], [], []
     main = study.primary_other()
@@ -275,11 +275,11 @@ def _read_inputs(
         recording = None
         for name, stride in strides.items():
             series = None
-            if digest.has_stride(stride):
+            if digest.can_downsample_to(stride):
                 series = (
                     metrics[name].clip_course(digest.courses[:, study.meta.metrics.index(name)])
                     if name in metrics
-                    else digested_series(digest, aspects[name], main_index)
+                    else series_from_digest(digest, aspects[name], main_index)
                 )
             if series is not None:
                 series_by_aspect[name].append(digest.downsample(series, stride))
@@ -288,7 +288,7 @@ def _read_inputs(
                 series = metrics[name].clip_course(study.course(i, name))
             else:
                 recording = recording or study.recording(i).with_absent_entities(study.meta.others)
-                series = aspect_series(study, i, recording, aspects[name], main)
+                series = compute_aspect_series(study, i, recording, aspects[name], main)
             series_by_aspect[name].append(downsample(series, stride))
         if with_times:
             times.append(digest.time if digest.stride == 1 else study.recording(i).time)
@@ -300,7 +300,7 @@ def _read_inputs(
         require_same_channels(study, name, ids.tolist(), series_by_aspect[name])
     values = [row.values for row in study.finished_rows()]
     naming_facts = NamingFacts.from_scenarios(outcomes, traits, study.space, values)
-    return _Inputs(outcomes, naming_facts, times, series_by_aspect)
+    return _AnalysisInputs(outcomes, naming_facts, times, series_by_aspect)
 
 
 def _require_memory(

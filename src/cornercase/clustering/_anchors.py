@@ -17,7 +17,7 @@ _DIRECTION_TOLERANCE: Final = 1e-6
 _MAX_ERROR: Final = 0.1
 
 
-class DistanceCompletion:
+class LandmarkDistanceEstimator:
     """Linear model of a scenario's distances to all landmarks, given its distances to some landmarks, the anchors.
 
     Landmarks are scenarios that were all compared with each other: `landmark_distances`, shape (m, m), are the

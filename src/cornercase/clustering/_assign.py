@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from cornercase._common.typing import FloatArray, IntArray
-from cornercase.clustering._anchors import DistanceCompletion
+from cornercase.clustering._anchors import LandmarkDistanceEstimator
 from cornercase.clustering._density import assign_to_nearest_cluster
 from cornercase.clustering._landmarks import PairwiseComparer
 from cornercase.clustering._scenario_clustering import ScenarioClustering
@@ -16,7 +16,7 @@ from cornercase.clustering._series import read_series, window_in_instants
 from cornercase.clustering._stored_analysis import Analysis, read_distances, read_landmark_distances
 from cornercase.dtw import distance_matrix
 from cornercase.study import StudyFile
-from cornercase.study._digest import downsample
+from cornercase.study._scenario_digest import downsample
 
 
 def refit(analysis: Analysis, distances: FloatArray) -> ScenarioClustering:
@@ -51,7 +51,7 @@ def assign_to_clusters(study: StudyFile, analysis: Analysis, other_study: StudyF
     rows = analysis.rows_of(reference_ids.tolist())
     if uses_landmarks:
         landmark_distances = read_landmark_distances(study, analysis.by)
-        completion = DistanceCompletion(landmark_distances)
+        completion = LandmarkDistanceEstimator(landmark_distances)
         reference_ids = reference_ids[completion.anchors]
     series: list[FloatArray] = []
     times: list[FloatArray] = []

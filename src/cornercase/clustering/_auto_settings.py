@@ -80,7 +80,7 @@ def search_settings(
                 update_progress(k * len(widths) + i)
             if not searching or search.best_score >= GOOD_AGREEMENT:
                 break
-        best = search.best_candidate(settings_given="auto" not in (gamma, eps)) if searching else 0
+        best = search.find_best_candidate_index(settings_given="auto" not in (gamma, eps)) if searching else 0
     settings, labels, space = search.candidates[best]
     return Clustering(
         labels=labels,
@@ -161,7 +161,7 @@ class _SettingsSearch:
             fitted = KernelPca(gamma, n_components).fit(self._scaled)
             self._embeddings[gamma, n_components] = _Embedding(fitted.embedding, fitted.explained)
         space = self._embeddings[gamma, n_components]
-        steps = _TreeEdges(space.points, self.expected, min_samples)
+        steps = _SpanningTreeEdges(space.points, self.expected, min_samples)
         for radius in steps.candidate_radii(self._method) if eps == "auto" else (eps,):
             labels = cluster_by_density(space.points, radius, min_samples, self._method)
             clusters, noise = int(labels.max()) + 1, float(np.mean(labels == NOISE_LABEL))
@@ -184,7 +184,7 @@ class _SettingsSearch:
             )
             self.candidates.append((candidate, labels, space))
 
-    def best_candidate(self, settings_given: bool) -> int:
+    def find_best_candidate_index(self, settings_given: bool) -> int:
         """Return the index of the best candidate.
 
         The few candidates with the highest scores are also tested for stability, and their validity is computed. Unless
@@ -236,7 +236,7 @@ class _SettingsSearch:
         return candidate.stability
 
 
-class _TreeEdges:
+class _SpanningTreeEdges:
     """Edges of the minimum spanning tree of the mutual reachability distance in an embedding.
 
     The edges are divided into edges within an expected cluster and edges between two expected clusters.

@@ -75,7 +75,7 @@ def fill_squares_to_centers(point, centers, result):
 
 
 @kernel(error_model="numpy", _nrt=False)
-def measure_cell_or_give_up(point, cell, bounds, result):
+def fill_squares_to_members(point, cell, bounds, result):
     """Write the squared distances of a point to the members of a cell to `result`, shape (CELL_SIZE,).
 
     Stops early and returns False as soon as each distance is at least as large as its bound in `bounds`.

@@ -103,7 +103,7 @@ class EmbeddedDistances:
         points = self._rows[members]
         return int(members[((points - points.mean(axis=0)) ** 2).sum(axis=1).argmin()])
 
-    def distances_to_neighbour(self, rows: IntArray, number: int) -> FloatArray:
+    def distances_to_nth_neighbour(self, rows: IntArray, number: int) -> FloatArray:
         """Return the distance from each of the given rows to its nearest neighbour with the given number.
 
         Number 1 is the nearest neighbour; number 0 is the row itself.

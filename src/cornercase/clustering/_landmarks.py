@@ -16,7 +16,7 @@ import numpy as np
 
 from cornercase._common.progress import ProgressBar
 from cornercase._common.typing import FloatArray, IntArray
-from cornercase.clustering._anchors import DistanceCompletion
+from cornercase.clustering._anchors import LandmarkDistanceEstimator
 from cornercase.clustering._clustering import Clustering
 from cornercase.clustering._density import assign_to_nearest_cluster, renumber_by_size
 from cornercase.clustering._embedding import EmbeddedDistances, LandmarkMDS
@@ -108,7 +108,7 @@ def cluster_by_landmarks(comparer: PairwiseComparer, model: ScenarioClustering) 
     landmarks = draw_landmarks(len(comparer.series))
     landmark_distances = comparer.distances_between(landmarks)
     fitted = ScenarioClustering(**{**model.get_params(), "landmarks": None}).fit(landmark_distances)
-    clustering, coordinates, error = _assign_all(comparer, landmarks, landmark_distances, fitted)
+    clustering, coordinates, error = _assign_all_to_landmark_clusters(comparer, landmarks, landmark_distances, fitted)
     return LandmarkClustering(
         replace(clustering, labels=renumber_by_size(clustering.labels)), coordinates, landmark_distances, error
     )
@@ -130,13 +130,13 @@ def assign_by_landmarks(
         existing.gamma, existing.eps, existing.min_samples, dimensions, method=existing.method
     ).fit(landmark_distances)
     fitted.result_ = replace(fitted.result_, labels=labels)
-    clustering, coordinates, error = _assign_all(comparer, landmarks, landmark_distances, fitted)
+    clustering, coordinates, error = _assign_all_to_landmark_clusters(comparer, landmarks, landmark_distances, fitted)
     return LandmarkClustering(
         replace(clustering, candidates=existing.candidates), coordinates, landmark_distances, error
     )
 
 
-def _assign_all(
+def _assign_all_to_landmark_clusters(
     comparer: PairwiseComparer, landmarks: IntArray, landmark_distances: FloatArray, fitted: ScenarioClustering
 ) -> tuple[Clustering, FloatArray, float]:
     """Assign all scenarios to the clusters of the landmarks.
@@ -145,7 +145,7 @@ def _assign_all(
     """
     n = len(comparer.series)
     clustering, embedder = fitted.result_, LandmarkMDS(landmark_distances)
-    completion = DistanceCompletion(landmark_distances)
+    completion = LandmarkDistanceEstimator(landmark_distances)
     landmark_coordinates = embedder.embed(landmark_distances)
     labels, embedding = np.empty(n, dtype=np.int64), np.empty((n, clustering.embedding.shape[1]))
     coordinates = np.empty((n, landmark_coordinates.shape[1]))

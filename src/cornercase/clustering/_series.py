@@ -18,7 +18,7 @@ from cornercase.metrics import METRICS
 from cornercase.recordings import Recording
 from cornercase.recordings._recording import read_only
 from cornercase.study import StudyFile
-from cornercase.study._digest import ScenarioDigest
+from cornercase.study._scenario_digest import ScenarioDigest
 
 DEFAULT_ASPECTS: Final = (EGO_TRAJECTORY, "bearing", "interaction")
 """Aspects that `analyze` uses by default, in addition to the metrics of the study."""
@@ -72,13 +72,14 @@ def read_series(
         return [metric.clip_course(study.course(scenario, aspect)) for scenario in ids]
     aspect_object, other_entity = create_aspect(aspect), study.primary_other() if other_entity is None else other_entity
     series = [
-        aspect_series(study, scenario, study.recording(scenario), aspect_object, other_entity) for scenario in ids
+        compute_aspect_series(study, scenario, study.recording(scenario), aspect_object, other_entity)
+        for scenario in ids
     ]
     require_same_channels(study, aspect, ids, series)
     return series
 
 
-def digested_series(digest: ScenarioDigest, aspect: Aspect, other_index: int) -> FloatArray | None:
+def series_from_digest(digest: ScenarioDigest, aspect: Aspect, other_index: int) -> FloatArray | None:
     """Return the series of one scenario for an aspect from its digest (downsampled recording), shape (M, k).
 
     The result is None if the digest does not contain it. `other_index` is the index of the entity that the aspect looks
@@ -93,7 +94,7 @@ def digested_series(digest: ScenarioDigest, aspect: Aspect, other_index: int) ->
     return np.hstack((digest.ego_position, position)) if type(aspect) is JointPositions else None
 
 
-def aspect_series(
+def compute_aspect_series(
     study: StudyFile, scenario: int, recording: Recording, aspect: Aspect, other_entity: str
 ) -> FloatArray:
     """Compute and check the time series of one scenario for an aspect, shape (T, k).

@@ -17,7 +17,7 @@ from cornercase.clustering._density import cluster_by_density
 from cornercase.clustering._kernel_pca import KernelPca
 from cornercase.clustering._stability import StabilityScorer
 from cornercase.clustering._stored_analysis import Analysis, read_distances, read_landmark_distances
-from cornercase.evidence._bands import explained_variance
+from cornercase.evidence._criticality_bands import explained_variance
 from cornercase.study import StudyFile
 
 GAMMAS: Final = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
@@ -63,7 +63,7 @@ class SettingsMap:
 
 
 @dataclass(frozen=True, eq=False)
-class Observed:
+class OutcomesAndScores:
     """Outcomes and scores of n scenarios.
 
     All arrays have shape (n,). `outcome` has indices into `outcome_names`. `scores` maps each metric to its scores.
@@ -75,7 +75,7 @@ class Observed:
     scores: Mapping[str, FloatArray]
 
     @classmethod
-    def from_study(cls, study: StudyFile) -> Observed:
+    def from_study(cls, study: StudyFile) -> OutcomesAndScores:
         """Read the outcomes and scores of all scenarios of a study that ran."""
         other = study.meta.others.index(study.primary_other())
         texts = {scenario: digest.outcomes[other].text for scenario, digest in study.iter_digests(())}
@@ -84,15 +84,15 @@ class Observed:
         scores = {name: study.scores(name) for name in study.meta.metrics}
         return cls(np.array(list(texts), dtype=np.int64), outcome, tuple(names), scores)
 
-    def select(self, ids: IntArray) -> Observed:
+    def select(self, ids: IntArray) -> OutcomesAndScores:
         """Return the outcomes and scores of the scenarios `ids`, in this order."""
         row_of = {scenario: row for row, scenario in enumerate(self.ids.tolist())}
         rows = np.array([row_of[scenario] for scenario in ids.tolist()], dtype=np.int64)
         scores = {name: values[rows] for name, values in self.scores.items()}
-        return Observed(ids, self.outcome[rows], self.outcome_names, scores)
+        return OutcomesAndScores(ids, self.outcome[rows], self.outcome_names, scores)
 
 
-def usual_min_samples(n_scenarios: int) -> tuple[int, ...]:
+def choose_min_samples_values(n_scenarios: int) -> tuple[int, ...]:
     """Return the values of min_samples for a settings map, rising.
 
     These are 3, the automatic value (``ln(n)``, rounded up and at least 3), and twice the automatic value.
@@ -101,10 +101,10 @@ def usual_min_samples(n_scenarios: int) -> tuple[int, ...]:
     return tuple(sorted({3, usual, 2 * usual}))
 
 
-def map_settings(
+def compute_settings_map(
     study: StudyFile,
     analysis: Analysis,
-    observed: Observed,
+    observed: OutcomesAndScores,
     on_gamma: Callable[[int], None] | None = None,
     *,
     max_mapped: int = MAX_MAPPED,
@@ -121,8 +121,8 @@ def map_settings(
     # With landmarks, `analyze` clusters only the landmarks, and all of them are on the map.
     has_landmarks = analysis.embedding_error is not None
     share = 1.0 if has_landmarks else len(rows) / len(analysis.ids)
-    neighbours = usual_min_samples(len(rows) if has_landmarks else len(analysis.ids))
-    cells = _Cells(scaled, observed.select(analysis.ids[rows[order]]), share)
+    neighbours = choose_min_samples_values(len(rows) if has_landmarks else len(analysis.ids))
+    cells = _SettingScorer(scaled, observed.select(analysis.ids[rows[order]]), share)
     labels = np.empty((len(neighbours), len(GAMMAS), len(EPS), len(rows)), dtype=np.int64)
     scores: dict[str, FloatArray] = {name: np.full(labels.shape[:3], math.nan) for name in cells.score_names}
     embeddings = np.empty((len(GAMMAS), len(rows), N_COMPONENTS))
@@ -166,14 +166,14 @@ def _sampled_distances(study: StudyFile, analysis: Analysis, max_mapped: int) ->
     return np.asarray(read_distances(study, analysis.by)[np.ix_(rows, rows)]), rows
 
 
-class _Cells:
+class _SettingScorer:
     """Clusters and scores for single settings of the map; each setting is a cell of the map.
 
     `scaled`, shape (n, n), are distances divided by their scale. `observed` are outcomes and scores of the same
     scenarios. `share` is the share of the analysed scenarios that are in the sample.
     """
 
-    def __init__(self, scaled: FloatArray, observed: Observed, share: float) -> None:
+    def __init__(self, scaled: FloatArray, observed: OutcomesAndScores, share: float) -> None:
         self._observed, self._share = observed, share
         self._stability = StabilityScorer(scaled, np.arange(len(scaled)), method="dbscan", max_part_size=len(scaled))
         self._scored: dict[bytes, dict[str, float]] = {}

@@ -18,7 +18,7 @@ from cornercase.clustering._embedding import Distances, EmbeddedDistances
 from cornercase.clustering.naming._profiles import Profile
 from cornercase.clustering.naming._rules import Rule
 from cornercase.study import StudyFile
-from cornercase.study._damage import dataclass_from_json, require_value, reraise_as_damage
+from cornercase.study._damage import dataclass_from_json, require_condition, reraise_read_errors
 from cornercase.study._study_file import open_study
 
 if TYPE_CHECKING:
@@ -219,20 +219,20 @@ def read_analysis(study: StudyFile | Path | str, by: str) -> Analysis:
 def _read_analysis(study: StudyFile, by: str) -> Analysis:
     run = {row.id for row in study.finished_rows()}
     arrays, info = study.read_analysis(by, "ids", "labels", "embedding", "landmarks")
-    with reraise_as_damage(study.path):
+    with reraise_read_errors(study.path):
         ids, labels, embedding = arrays["ids"], arrays["labels"], arrays["embedding"]
         n = len(ids)
-        require_value(
+        require_condition(
             {array.dtype.kind for array in (ids, labels, arrays["landmarks"])} == {"i"}, "labels that are no integers"
         )
-        require_value(
+        require_condition(
             ids.ndim == 1 and set(ids.tolist()) <= run and len(set(ids.tolist())) == n, "scenarios that were not run"
         )
-        require_value(n > 0, "an analysis without scenarios")
-        require_value(
+        require_condition(n > 0, "an analysis without scenarios")
+        require_condition(
             labels.shape == (n,) and labels.min(initial=-1) >= -1 and labels.max(initial=-1) < n, "unsuitable labels"
         )
-        require_value(
+        require_condition(
             embedding.ndim == 2 and len(embedding) == n and embedding.dtype.kind == "f", "an unsuitable embedding"
         )
         window = None if info["window"] is None else float(info["window"])
@@ -241,15 +241,15 @@ def _read_analysis(study: StudyFile, by: str) -> Analysis:
         fitted = np.array([int(i) for i in info["fitted"]], dtype=np.int64)
         clusters, sizes = np.unique(labels, return_counts=True)
         described = sorted((profile.cluster, profile.size) for profile in profiles)
-        require_value(
+        require_condition(
             described in ([], list(zip(clusters.tolist(), sizes.tolist(), strict=True))), "profiles of other clusters"
         )
-        require_value(
+        require_condition(
             {profile.example for profile in profiles} <= {None, *ids.tolist()}, "an example that is not a scenario"
         )
-        require_value(isinstance(info["unit"], str), "a unit that is not a string")
+        require_condition(isinstance(info["unit"], str), "a unit that is not a string")
         stride, embedding_error = int(info.get("every", 1)), info.get("inexact")
-        require_value(stride >= 1, "a stride below 1")
+        require_condition(stride >= 1, "a stride below 1")
         embedding_error = None if embedding_error is None else float(embedding_error)
         analysis = Analysis(
             by, info["unit"], window, ids, clustering, fitted, profiles, fact_agreement, stride, embedding_error
@@ -263,7 +263,7 @@ def _read_analysis(study: StudyFile, by: str) -> Analysis:
 
 def _clustering_from_storage(arrays: Mapping[str, Any], info: Mapping[str, Any]) -> Clustering:
     numbers = {name: float(info[name]) for name in ("gamma", "eps", "scale", "explained", "error")}
-    require_value(info["method"] in ("dbscan", "hdbscan"), "an unknown clustering method")
+    require_condition(info["method"] in ("dbscan", "hdbscan"), "an unknown clustering method")
     return Clustering(
         labels=arrays["labels"],
         embedding=arrays["embedding"],
@@ -280,7 +280,7 @@ def _profiles_from_storage(info: Mapping[str, Any]) -> tuple[Profile, ...]:
     for item in info["profiles"]:
         scores = {name: (float(low), float(mid), float(high)) for name, (low, mid, high) in item["scores"].items()}
         outcomes = {outcome: int(count) for outcome, count in item["outcomes"].items()}
-        require_value(min(outcomes.values(), default=0) >= 0, "a negative number of scenarios")
+        require_condition(min(outcomes.values(), default=0) >= 0, "a negative number of scenarios")
         rules = tuple(dataclass_from_json(Rule, rule) for rule in item["rules"])
         profiles.append(dataclass_from_json(Profile, {**item, "scores": scores, "outcomes": outcomes, "rules": rules}))
     return tuple(profiles)
@@ -346,16 +346,18 @@ def read_distances(study: StudyFile | Path | str, by: str) -> Distances:
 def _read_distances(study: StudyFile, by: str) -> Distances:
     if study.read_analysis(by, "ids")[1].get("inexact") is not None:
         arrays, _ = study.read_analysis(by, "ids", "places")
-        with reraise_as_damage(study.path):
+        with reraise_read_errors(study.path):
             coordinates = arrays["places"]
-            require_value(coordinates.ndim == 2 and len(coordinates) == len(arrays["ids"]), "an unsuitable embedding")
-            require_value(
+            require_condition(
+                coordinates.ndim == 2 and len(coordinates) == len(arrays["ids"]), "an unsuitable embedding"
+            )
+            require_condition(
                 coordinates.dtype.kind == "f" and bool(np.isfinite(coordinates).all()), "an embedding without numbers"
             )
             return EmbeddedDistances(coordinates)
     arrays, _ = study.read_analysis(by, "ids", "distances")
     distances: FloatArray = arrays["distances"]
-    with reraise_as_damage(study.path):
+    with reraise_read_errors(study.path):
         _require_distances(distances, len(arrays["ids"]))
     return distances
 
@@ -367,15 +369,15 @@ def read_landmark_distances(study: StudyFile, by: str) -> FloatArray:
     """
     arrays, _ = study.read_analysis(by, "landmarks", "between")
     distances: FloatArray = arrays["between"]
-    with reraise_as_damage(study.path):
+    with reraise_read_errors(study.path):
         _require_distances(distances, len(arrays["landmarks"]))
     return distances
 
 
 def _require_distances(distances: FloatArray, n_scenarios: int) -> None:
-    require_value(
+    require_condition(
         distances.shape == (n_scenarios, n_scenarios) and distances.dtype.kind == "f", "distances of other scenarios"
     )
-    require_value(
+    require_condition(
         bool((np.isfinite(distances) & (distances >= 0.0)).all()), "distances that are negative or not finite"
     )

@@ -5,10 +5,10 @@ from ._behaviour import BehaviourDriver as BehaviourDriver
 from ._controls import Control as Control
 from ._controls import Controls as Controls
 from ._controls import Trajectory as Trajectory
+from ._driving_function import Body as Body
+from ._driving_function import DrivingFunction as DrivingFunction
+from ._driving_function import Start as Start
 from ._equipment import EquippedDriver as EquippedDriver
-from ._function import Body as Body
-from ._function import DrivingFunction as DrivingFunction
-from ._function import Start as Start
 from ._mutants import Mutant as Mutant
 from ._mutants import generate_mutants as generate_mutants
 from ._mutation import Mutation as Mutation

@@ -8,7 +8,7 @@ from typing import Final, cast
 
 import numpy as np
 
-from cornercase._common.configurable import with_numbers
+from cornercase._common.configurable import copy_with_numeric_options
 from cornercase._common.errors import InputError, PluginError, SimulationError
 from cornercase._common.masks import any_true
 from cornercase._common.plugin_errors import (
@@ -24,18 +24,18 @@ from cornercase._common.validation import repr_short
 from cornercase.drivers._base import Driver, Situation
 from cornercase.drivers._compiled import is_compiled, limit_driver_acceleration
 from cornercase.drivers._controls import Controls
+from cornercase.drivers._driving_function import DrivingFunction, Start
 from cornercase.drivers._equipment import EquippedDriver
-from cornercase.drivers._function import DrivingFunction, Start
-from cornercase.drivers._motion import DrivenMotion, Mover
 from cornercase.drivers._parameters import (
     DRIVER,
     VEHICLE,
-    is_same_in_batch,
-    name_parts,
+    must_be_same_in_batch,
+    parts_by_name,
     rows_of,
     split_parameters,
 )
 from cornercase.drivers._varied_driver import VariedDriver
+from cornercase.drivers._vehicle_motion import DrivenMotion, VehicleMover
 from cornercase.drivers.sensors._fusion import SensorFusion
 from cornercase.drivers.vehicles._actuated import ActuatedVehicle
 from cornercase.drivers.vehicles._pedals import pedals_to_acceleration
@@ -88,7 +88,7 @@ class AttachedDriver:
         self._given = driver
         self._sensors = SensorFusion(driver.sensors if isinstance(driver, EquippedDriver) else ())
         self.vehicle = driver.vehicle if isinstance(driver, EquippedDriver) else None
-        self._mover = Mover(self.vehicle, self._note_missing_lane)
+        self._mover = VehicleMover(self.vehicle, self._note_missing_lane)
         self._entity = entity
         self.limit_notices: dict[str, str] = {}
 
@@ -138,7 +138,7 @@ class AttachedDriver:
             sensors = [own for part, own in parameters.items() if part not in (DRIVER, VEHICLE)]
             self._start_driver(replace(self._sensors.start(start, sensors), parameters=parameters[DRIVER]))
         except BaseException as error:
-            raise self._failure(error, requests, 0.0) from error
+            raise self._to_driver_error(error, requests, 0.0) from error
         if is_compiled(self.driver):
             # A compiled driver plans with the limits of its vehicle.
             bounds = {"acceleration": start.body.max_acceleration, "deceleration": start.body.max_deceleration}
@@ -148,12 +148,12 @@ class AttachedDriver:
 
     def _start_driver(self, start: Start) -> None:
         options = rows_of(start.parameters, start.scenarios) if start.parameters else []
-        if options and is_same_in_batch(self._given, DRIVER):
-            self.driver = with_numbers(name_parts(self._given)[DRIVER], options[0])
+        if options and must_be_same_in_batch(self._given, DRIVER):
+            self.driver = copy_with_numeric_options(parts_by_name(self._given)[DRIVER], options[0])
         if isinstance(self.driver, DrivingFunction):
             self.driver.prepare(start)
         self.driver.start(start.scenarios, len(start.others))
-        if options and isinstance(self.driver, VariedDriver) and not is_same_in_batch(self._given, DRIVER):
+        if options and isinstance(self.driver, VariedDriver) and not must_be_same_in_batch(self._given, DRIVER):
             self.driver.vary(options)
 
     def release(self) -> None:
@@ -180,9 +180,11 @@ class AttachedDriver:
             undecided = active & ~(np.isfinite(acceleration) | goes_on)
             if isinstance(self.driver, DrivingFunction):
                 self._fail_undecided(undecided & np.isnan(acceleration), time, failures)
-            self._fail(undecided, acceleration, "an acceleration in m/s²", time, failures)
+            self._fail_invalid_values(undecided, acceleration, "an acceleration in m/s²", time, failures)
         if any_true(steers := active & ~np.isnan(controls.steering)):
-            self._fail(steers & np.isinf(controls.steering), controls.steering, "an angle in rad", time, failures)
+            self._fail_invalid_values(
+                steers & np.isinf(controls.steering), controls.steering, "an angle in rad", time, failures
+            )
             self._note_exceeded_steering(controls.steering, steers, time)
         acceleration = self._clip_acceleration(acceleration, active & np.isfinite(acceleration), time)
         start = PlanarMotion(**{name: copies[name] for name in _STATE}) if begin is None else begin
@@ -216,7 +218,7 @@ class AttachedDriver:
                 ),
             )
 
-    def _fail(
+    def _fail_invalid_values(
         self, rows: BoolArray, values: FloatArray, what: str, time: float, failures: dict[int, SimulationError]
     ) -> None:
         """Add a failure for each scenario of `rows`: the driver's value is not `what`, such as "an angle in rad"."""
@@ -249,7 +251,7 @@ class AttachedDriver:
                 else self.driver.acceleration(sensed)
             )
         except BaseException as error:
-            raise self._failure(error, requests, situation.time) from error
+            raise self._to_driver_error(error, requests, situation.time) from error
         if isinstance(returned, Controls):
             return returned
         try:
@@ -265,7 +267,7 @@ class AttachedDriver:
             raise DriverError(PluginError(why), splits=False) from error
         return replace(Controls.empty(expected), acceleration=acceleration)
 
-    def _failure(self, error: BaseException, requests: int, time: float) -> DriverError:
+    def _to_driver_error(self, error: BaseException, requests: int, time: float) -> DriverError:
         """Convert an exception of the driver to a `DriverError`; an `InputError` of an adapter is raised unchanged."""
         if is_built_in(type(self.driver)) and isinstance(self.driver, DrivingFunction):
             if isinstance(error, InputError | DriverError):
@@ -289,7 +291,7 @@ class AttachedDriver:
         return clipped
 
     def _note_exceeded_steering(self, steering: FloatArray, rows: BoolArray, time: float) -> None:
-        """Note, once, a steering angle beyond the limit of the front wheels; `Mover` limits the angle."""
+        """Note, once, a steering angle beyond the limit of the front wheels; `VehicleMover` limits the angle."""
         bound = self._start.body.max_steering
         if "steering" in self.limit_notices:
             return

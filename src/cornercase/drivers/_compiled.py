@@ -109,17 +109,17 @@ class CompiledDriver(VariedDriver):
         fleet.boxes[0, HALF_LENGTH], fleet.boxes[0, HALF_WIDTH] = 0.5 * s.others_length, 0.5 * s.others_width
         fleet.boxes[0, CENTER_X] = s.others_center_x
         fleet.boxes[0, VULNERABLE] = _is_vulnerable(s.others_object_type)
-        track = self._plan_route_index(s.path)
+        track = self._find_or_plan_route(s.path)
         # Contiguous arrays, so that kernels are compiled only once.
         own = s.distance, s.x, s.y, s.heading, s.speed, s.target_speed
         driven = np.ascontiguousarray(np.stack(own, axis=1))
         others = np.ascontiguousarray(np.stack((s.others_x, s.others_y, s.others_heading, s.others_speed), axis=1))
         active = np.ascontiguousarray(s.active)
-        link_drivers(self._fleet)
+        compile_fleet_kernels(self._fleet)
         result: FloatArray = compute_accelerations(self._fleet, 0, track, s.time, s.time_step, driven, others, active)
         return result
 
-    def _plan_route_index(self, path: DrivenPath) -> int:
+    def _find_or_plan_route(self, path: DrivenPath) -> int:
         """Return the index of the driver's route along a path; plan the route if the path is new."""
         if self.kind != BEHAVIOUR:
             return 0
@@ -134,7 +134,7 @@ def is_compiled(driver: Driver) -> TypeGuard[CompiledDriver]:
     return isinstance(driver, CompiledDriver) and type(driver).acceleration is CompiledDriver.acceleration
 
 
-def link_drivers(fleet: Fleet) -> None:
+def compile_fleet_kernels(fleet: Fleet) -> None:
     """Compile the kernels of a fleet's drivers and vehicles; to be called before compiled code uses the fleet."""
     DRIVER_KERNELS.link(fleet.kind.tolist(), fleet, *DECISION_INPUTS)
     if len(fleet.vehicles.state):

@@ -8,7 +8,7 @@ from cornercase._common.errors import InputError, suggest_name
 from cornercase._common.typing import FloatArray
 from cornercase.drivers._base import Driver, Situation
 from cornercase.drivers._registry import SEPARATOR
-from cornercase.drivers._system_under_test import ScalarFunction, SystemUnderTest
+from cornercase.drivers._system_under_test import PerScenarioDriver, SystemUnderTest
 from cornercase.drivers.sensors._sensor import SENSORS, Sensor
 from cornercase.drivers.vehicles._vehicle_model import VEHICLES, VehicleModel
 
@@ -44,7 +44,7 @@ class EquippedDriver(Driver):
             raise InputError(
                 f"`driver` {driver}: is a name; give a driver, as in EquippedDriver(DRIVERS.create({driver!r}))."
             )
-        self.driver: Driver = ScalarFunction(driver) if isinstance(driver, SystemUnderTest) else driver
+        self.driver: Driver = PerScenarioDriver(driver) if isinstance(driver, SystemUnderTest) else driver
         self.sensors, self.vehicle = tuple(sensors), vehicle
         self.settings = {
             "driver": dict(driver.settings),

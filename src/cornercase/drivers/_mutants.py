@@ -12,12 +12,12 @@ import numpy as np
 from cornercase._common.errors import InputError, suggest_name
 from cornercase._common.validation import check_int, check_str
 from cornercase.drivers._base import Driver
-from cornercase.drivers._description import user_driver_spec
 from cornercase.drivers._equipment import EquippedDriver
 from cornercase.drivers._mutation import Mutation
 from cornercase.drivers._preset_name import nearest_preset_name, preset_parameters
 from cornercase.drivers._registry import SEPARATOR, is_registered_driver, split_spec
 from cornercase.drivers._resolve import driver_by_name, takes_text
+from cornercase.drivers._serialization import user_driver_spec
 
 MAX_MUTANTS: Final = 1000
 """Maximum number of mutants of a driver."""
@@ -139,7 +139,7 @@ def _mutate_value(mutation: Mutation, value: float, severity: float) -> float:
 def _set_driver_option(driver: str, parameter: str, value: float) -> str:
     driver, equipment = split_spec(driver)
     if takes_text(driver):
-        return SEPARATOR.join([_with_mutations(driver).spec_with({parameter: value}), *equipment])
+        return SEPARATOR.join([_create_with_file_mutations(driver).spec_with({parameter: value}), *equipment])
     # The name of a class has a colon of its own.
     n_parts = 1 if is_registered_driver(driver) else 2
     base, options = ":".join(driver.split(":")[:n_parts]), ":".join(driver.split(":")[n_parts:])
@@ -159,7 +159,7 @@ def mutable_driver_name(driver: str | Driver | Mapping[str, object]) -> str:
         _mutations_and_parameters(own)
         return own
     inner = driver.driver if isinstance(driver, EquippedDriver) else driver
-    if isinstance(inner, HasMutableText):
+    if isinstance(inner, HasFileMutations):
         equipment = driver.equipment if isinstance(driver, EquippedDriver) else ()
         name = SEPARATOR.join([inner.spec_with({}), *map(str, equipment)])
         _mutations_and_parameters(name)
@@ -172,7 +172,7 @@ def mutable_driver_name(driver: str | Driver | Mapping[str, object]) -> str:
     return nearest_preset_name(driver)
 
 
-def is_own_driver_name(name: str) -> bool:
+def is_user_class_name(name: str) -> bool:
     """Return whether the name of a driver stands for a class of the user, not for a registered driver."""
     return not is_registered_driver(name)
 
@@ -181,8 +181,8 @@ def _mutations_and_parameters(driver: str) -> tuple[Sequence[Mutation], dict[str
     """Return the mutations that are possible in a driver, and the values of its numeric parameters."""
     name, _ = split_spec(driver)
     if takes_text(name):
-        attached = _with_mutations(name)
-        return attached.file_mutations, _numbers_of(name, attached)
+        attached = _create_with_file_mutations(name)
+        return attached.file_mutations, _mutable_parameters(name, attached)
     if is_registered_driver(name):
         return MUTATIONS, preset_parameters(name)
     created = driver_by_name(name)
@@ -202,7 +202,7 @@ def _mutations_and_parameters(driver: str) -> tuple[Sequence[Mutation], dict[str
 
 
 @runtime_checkable
-class HasMutableText(Protocol):
+class HasFileMutations(Protocol):
     """Driver with its parameter values in its text, and mutations from a file: an FMU or a program."""
 
     file_mutations: tuple[Mutation, ...]
@@ -212,9 +212,9 @@ class HasMutableText(Protocol):
     def numeric_parameters(self) -> dict[str, float]: ...
 
 
-def _with_mutations(name: str) -> HasMutableText:
+def _create_with_file_mutations(name: str) -> HasFileMutations:
     created = driver_by_name(name)
-    if not isinstance(created, HasMutableText) or not created.file_mutations:
+    if not isinstance(created, HasFileMutations) or not created.file_mutations:
         raise InputError(
             f"The driver '{name}' has no mutants, as no file says how far its parameters may be off; give such a"
             " file with the option mutations=mutations.toml."
@@ -222,7 +222,7 @@ def _with_mutations(name: str) -> HasMutableText:
     return created
 
 
-def _numbers_of(name: str, attached: HasMutableText) -> dict[str, float]:
+def _mutable_parameters(name: str, attached: HasFileMutations) -> dict[str, float]:
     numbers = attached.numeric_parameters()
     for mutation in attached.file_mutations:
         if mutation.parameter not in numbers:

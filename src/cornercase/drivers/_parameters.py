@@ -8,17 +8,22 @@ from typing import Final
 
 import numpy as np
 
-from cornercase._common.configurable import Configurable, given_options, options_for_numbers, with_numbers
+from cornercase._common.configurable import (
+    Configurable,
+    copy_with_numeric_options,
+    given_options,
+    list_numeric_option_names,
+)
 from cornercase._common.errors import InputError, suggest_name
 from cornercase._common.plugin_errors import is_built_in
 from cornercase._common.text.sanitize import format_exception
 from cornercase._common.typing import FloatArray
 from cornercase.drivers._base import Driver
-from cornercase.drivers._description import recorded_options
+from cornercase.drivers._driving_function import DrivingFunction
 from cornercase.drivers._equipment import EquippedDriver
-from cornercase.drivers._function import DrivingFunction
 from cornercase.drivers._registry import SEPARATOR
-from cornercase.drivers._system_under_test import ScalarFunction
+from cornercase.drivers._serialization import recorded_options
+from cornercase.drivers._system_under_test import PerScenarioDriver
 from cornercase.drivers._varied_driver import VariedDriver
 from cornercase.drivers.sensors._sensor import Sensor
 from cornercase.drivers.vehicles._vehicle_model import VehicleModel
@@ -28,7 +33,7 @@ VEHICLE: Final = "vehicle"
 Part = Driver | Sensor | VehicleModel
 
 
-def name_parts(driver: Driver) -> dict[str, Part]:
+def parts_by_name(driver: Driver) -> dict[str, Part]:
     """Return a driver, its sensors and its vehicle by the name that comes before an option, as in ``radar.range``.
 
     The driver is ``driver``, the vehicle model ``vehicle``, and a sensor has its own name. Sensors of the same name are
@@ -51,7 +56,7 @@ def find_parameter(entity: str, driver: Driver, name: str) -> tuple[str, str]:
     `name` is without the entity: an option, or a part and its option as in ``radar.range``. Raises `InputError` if no
     part has this option, or if several parts have it.
     """
-    options = {part: searchable_options(made) for part, made in name_parts(driver).items()}
+    options = {part: searchable_options(made) for part, made in parts_by_name(driver).items()}
     matches = [(part, option) for part in options for option in options[part] if name in (option, f"{part}.{option}")]
     if len(matches) > 1:
         owners = " and of ".join(part for part, _ in matches)
@@ -82,7 +87,7 @@ def check_parameters(entity: str, driver: Driver, names: Iterable[str]) -> None:
         part, option = find_parameter(entity, driver, name)
         if (other := meant.setdefault((part, option), name)) != name:
             raise InputError(f"{entity}.{name}: is the same option as {entity}.{other}; keep one of them.")
-        if option in fixed_options(name_parts(driver)[part]):
+        if option in fixed_options(parts_by_name(driver)[part]):
             raise InputError(
                 f"{entity}.{name}: the driver of {entity} ({driver}) is given with a fixed '{option}'; leave it out"
                 " there."
@@ -93,7 +98,7 @@ def fixed_options(part: Part) -> set[str]:
     """Return the options that a driver, sensor or vehicle model was given, which a search cannot vary."""
     if isinstance(part, DrivingFunction) and part.options_may_vary:
         return set()
-    made: object = part.prototype if isinstance(part, ScalarFunction) else part
+    made: object = part.prototype if isinstance(part, PerScenarioDriver) else part
     given_by_name = recorded_options(made)
     if not isinstance(made, Configurable):
         return {*given_by_name}
@@ -103,9 +108,9 @@ def fixed_options(part: Part) -> set[str]:
     return {*given_by_name, *given_options(made), *in_text}
 
 
-def is_same_in_batch(driver: Driver, part: str) -> bool:
+def must_be_same_in_batch(driver: Driver, part: str) -> bool:
     """Return whether a part is one object for all scenarios, with the same options: a `Driver` class of a user."""
-    made = name_parts(driver)[part]
+    made = parts_by_name(driver)[part]
     can_vary = isinstance(made, DrivingFunction) or (isinstance(made, VariedDriver) and is_built_in(type(made)))
     return isinstance(made, Driver) and not can_vary
 
@@ -120,7 +125,7 @@ def read_parameters(
     values, too.
     """
     names = list(values[0]) if values else []
-    parts, problems, usable = name_parts(driver), dict[int, str](), dict[tuple[float, ...], str]()
+    parts, problems, usable = parts_by_name(driver), dict[int, str](), dict[tuple[float, ...], str]()
     targets = {name: find_parameter(entity, driver, name) for name in names}
     table = np.zeros((len(values), len(names)))
     for n, scenario in enumerate(values):
@@ -148,7 +153,7 @@ def split_parameters(
     entity: str, driver: Driver, parameters: Mapping[str, FloatArray]
 ) -> dict[str, dict[str, FloatArray]]:
     """Return the parameters of an entity by part (driver, sensor or vehicle model), then by option."""
-    own: dict[str, dict[str, FloatArray]] = {part: {} for part in name_parts(driver)}
+    own: dict[str, dict[str, FloatArray]] = {part: {} for part in parts_by_name(driver)}
     for name, array in parameters.items():
         part, option = find_parameter(entity, driver, name)
         own[part][option] = array
@@ -167,7 +172,7 @@ def spec_with_values(entity: str, driver: Driver, values: Mapping[str, object]) 
         part, option = find_parameter(entity, driver, name)
         options.setdefault(part, []).append(f"{option}={value}")
     texts = []
-    for part, made in name_parts(driver).items():
+    for part, made in parts_by_name(driver).items():
         text, own = str(made), ",".join(options.get(part, ()))
         texts.append(f"{text}{',' if ':' in text else ':'}{own}" if own else text)
     return SEPARATOR.join(texts)
@@ -175,11 +180,11 @@ def spec_with_values(entity: str, driver: Driver, values: Mapping[str, object]) 
 
 def searchable_options(part: Part) -> tuple[str, ...]:
     """Return the names of the numeric options of a driver, sensor or vehicle model, which a search can vary."""
-    if isinstance(part, DrivingFunction) and not isinstance(part, ScalarFunction):
+    if isinstance(part, DrivingFunction) and not isinstance(part, PerScenarioDriver):
         # Options of the adapter itself, such as a time limit, are not options of the FMU or program.
         return tuple(part.numeric_parameters())
-    made = part.prototype if isinstance(part, ScalarFunction) else part
-    declared = options_for_numbers(type(made)) if isinstance(made, Configurable) else []
+    made = part.prototype if isinstance(part, PerScenarioDriver) else part
+    declared = list_numeric_option_names(type(made)) if isinstance(made, Configurable) else []
     return tuple(dict.fromkeys((*declared, *(part.numeric_parameters() if isinstance(part, Driver) else ()))))
 
 
@@ -187,11 +192,11 @@ def _find_problem(parts: Mapping[str, Part], values: Mapping[tuple[str, str], fl
     """Return why a constructor of a part refuses its values; an empty text if no constructor does."""
     for name, part in parts.items():
         numbers = {option: value for (of_part, option), value in values.items() if of_part == name}
-        is_adapter = isinstance(part, DrivingFunction) and not isinstance(part, ScalarFunction)
+        is_adapter = isinstance(part, DrivingFunction) and not isinstance(part, PerScenarioDriver)
         if not numbers or is_adapter or (_is_code_of_user(part) and not may_run_code):
             continue
         try:
-            with_numbers(part, numbers)
+            copy_with_numeric_options(part, numbers)
         except (InputError, ValueError) as error:
             return str(error).removesuffix(".")
         except Exception as error:
@@ -200,4 +205,4 @@ def _find_problem(parts: Mapping[str, Part], values: Mapping[tuple[str, str], fl
 
 
 def _is_code_of_user(part: Part) -> bool:
-    return not is_built_in(type(part.prototype if isinstance(part, ScalarFunction) else part))
+    return not is_built_in(type(part.prototype if isinstance(part, PerScenarioDriver) else part))

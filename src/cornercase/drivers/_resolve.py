@@ -18,13 +18,13 @@ from cornercase._common.text.sanitize import format_exception
 from cornercase._common.typing import FloatArray
 from cornercase._common.validation import check_mapping, repr_short
 from cornercase.drivers._base import Driver, Situation
-from cornercase.drivers._description import driver_command_option, record_driver_spec, serialize_driver
+from cornercase.drivers._driving_function import DrivingFunction
 from cornercase.drivers._equipment import EquippedDriver, equip
-from cornercase.drivers._function import DrivingFunction
-from cornercase.drivers._missing_prefix import suggest_prefix
+from cornercase.drivers._prefix_hints import suggest_prefix
 from cornercase.drivers._presets import Behaviour
 from cornercase.drivers._registry import DRIVERS, is_registered_driver, split_spec
-from cornercase.drivers._system_under_test import ScalarFunction, SystemUnderTest
+from cornercase.drivers._serialization import driver_command_option, record_driver_spec, serialize_driver
+from cornercase.drivers._system_under_test import PerScenarioDriver, SystemUnderTest
 
 DriverLike: TypeAlias = str | Driver | SystemUnderTest | Behaviour
 """Types that a user may give as a driver."""
@@ -203,7 +203,7 @@ def load_user_driver(name: str) -> Driver:
             reraise_termination_request(error, requests)
             raise InputError(f"The driver '{name}' cannot be created: {format_exception(error)}.") from error
     if isinstance(driver, SystemUnderTest):
-        driver = ScalarFunction(driver)
+        driver = PerScenarioDriver(driver)
     if not is_driver(driver):
         hidden = _describe_hidden_file(module_name)
         why = f" Its module is another one: {hidden}" if hidden else ""
@@ -245,7 +245,7 @@ def resolve_driver(driver: DriverLike) -> str | Driver:
     A name of a registered driver stays a name, so that it can be stored, if all its options are numbers.
     """
     if isinstance(driver, SystemUnderTest):
-        return ScalarFunction(driver)
+        return PerScenarioDriver(driver)
     if isinstance(driver, Behaviour):
         # Its kernels take long to import.
         from cornercase.drivers._behaviour import BehaviourDriver

@@ -11,7 +11,7 @@ import numpy as np
 
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.drivers._base import Situation
-from cornercase.drivers._kernels.look import ALONG, LATERAL
+from cornercase.drivers._kernels.ego_view import ALONG, LATERAL
 from cornercase.drivers._kernels.path_projection import project_onto_path
 from cornercase.drivers._lanes import PathAlongLanes, driven_path
 from cornercase.roads._cross_sections import NO_LANE, CrossSections
@@ -67,7 +67,7 @@ class LaneView:
 
 
 @dataclass(frozen=True, eq=False)
-class _Group:
+class _EgoGroup:
     """Egos of n scenarios on the same path along lanes, and the A other entities in each scenario.
 
     `along`, `offset` (n,): position of the egos along the path, and to the left of the path, in m. `column` (n,): lane
@@ -89,7 +89,7 @@ class _Group:
     @cached_property
     def others_column(self) -> IntArray:
         """Lane of each other entity, as a column of `sections`, (n, A)."""
-        return self.sections.columns_at(self.others_along, self.others_offset)
+        return self.sections.lane_column_at(self.others_along, self.others_offset)
 
 
 class Surroundings:
@@ -100,18 +100,18 @@ class Surroundings:
 
     def __init__(self, situation: Situation, network: RoadNetwork | None, own: FloatArray, objects: FloatArray) -> None:
         self._situation, self._network = situation, network
-        self._group_of: dict[int, tuple[_Group, int]] = {}
+        self._group_of: dict[int, tuple[_EgoGroup, int]] = {}
         if network is None:
             return
         rows = np.flatnonzero(situation.active & np.isfinite(situation.x))
         if isinstance(situation.path, PathAlongLanes):
             along, offset = own[rows, 0], own[rows, 1]
             others = objects[rows, :, ALONG], objects[rows, :, LATERAL]
-            rows = self._join(network, situation.path.lane_path, rows, along, offset, *others)
+            rows = self._add_group(network, situation.path.lane_path, rows, along, offset, *others)
         if len(rows):
-            self._locate(network, rows)
+            self._group_by_lane(network, rows)
 
-    def _join(
+    def _add_group(
         self,
         network: RoadNetwork,
         path: LanePath,
@@ -123,14 +123,14 @@ class Surroundings:
     ) -> IntArray:
         """Add a group of scenarios whose ego is on a lane along a path; return the scenarios whose ego is not."""
         sections = CrossSections.along(network, path)
-        column = sections.columns_at(along, offset)
-        group = _Group(sections, along, offset, column, others_along, others_offset)
+        column = sections.lane_column_at(along, offset)
+        group = _EgoGroup(sections, along, offset, column, others_along, others_offset)
         is_on: BoolArray = column != NO_LANE
         self._group_of |= {n: (group, i) for i, n in enumerate(rows.tolist()) if is_on[i]}
         others: IntArray = rows[~is_on]
         return others
 
-    def _locate(self, network: RoadNetwork, rows: IntArray) -> None:
+    def _group_by_lane(self, network: RoadNetwork, rows: IntArray) -> None:
         """Add groups of scenarios by the lane that the ego is on, regardless of the ego's path."""
         s = self._situation
         x, y, heading = s.x[rows], s.y[rows], s.heading[rows]
@@ -157,7 +157,7 @@ class Surroundings:
             )
             along, offset, _, is_within = project_onto_path(driven_path(path), path.distance_of_s(at[same]), *points)
             along[~is_within] = np.nan
-            self._join(network, path, rows[same], along[:, 0], offset[:, 0], along[:, 1:], offset[:, 1:])
+            self._add_group(network, path, rows[same], along[:, 0], offset[:, 0], along[:, 1:], offset[:, 1:])
 
     def lanes(self, scenario: int) -> tuple[LaneView, ...]:
         """Return all lanes of the road at the ego, from left to right; none if the ego is on no lane."""

@@ -13,14 +13,14 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, Self
 
 import numpy as np
 
-from cornercase._common.configurable import Configurable, describe_as_text, numeric_options, with_numbers
+from cornercase._common.configurable import Configurable, copy_with_numeric_options, describe_as_text, numeric_options
 from cornercase._common.errors import InputError, PluginError, SimulationError
 from cornercase._common.plugin_errors import format_time_of_failure, make_scenario_failure
 from cornercase._common.process.signals import count_requests
 from cornercase._common.text.sanitize import quote_name
 from cornercase.drivers._base import Situation
 from cornercase.drivers._controls import Control, Controls
-from cornercase.drivers._function import DrivingFunction, Start
+from cornercase.drivers._driving_function import DrivingFunction, Start
 from cornercase.drivers._mutation import Mutation
 from cornercase.drivers._view import SharedView, View
 
@@ -168,7 +168,7 @@ class SystemUnderTest(Configurable, ABC):
 _CALLS: Final = {"start": ("ego", "road", "rng"), "step": ("view", "dt")}
 
 
-def _check_calls(made: SystemUnderTest) -> None:
+def _check_method_signatures(made: SystemUnderTest) -> None:
     """Raise `InputError` if a method of a user's class cannot be called as cornercase calls it."""
     for method, arguments in _CALLS.items():
         try:
@@ -186,11 +186,11 @@ def _check_calls(made: SystemUnderTest) -> None:
             ) from None
 
 
-class ScalarFunction(DrivingFunction):
+class PerScenarioDriver(DrivingFunction):
     """Driver that has its own `SystemUnderTest` object of a user in each scenario, made from a prototype."""
 
     def __init__(self, prototype: SystemUnderTest) -> None:
-        _check_calls(prototype)
+        _check_method_signatures(prototype)
         self.prototype = prototype
         self.settings, self.mutations = prototype.settings, prototype.mutations  # type: ignore[misc]
         self._objects: list[SystemUnderTest] = []
@@ -200,7 +200,7 @@ class ScalarFunction(DrivingFunction):
 
     def with_options(self, **changes: Any) -> Self:
         """Return a new driver whose prototype has some options changed."""
-        return type(self)(with_numbers(self.prototype, changes))
+        return type(self)(copy_with_numeric_options(self.prototype, changes))
 
     def describe(self) -> Sequence[str]:
         """Return the lines of the prototype's `describe`."""
@@ -218,7 +218,7 @@ class ScalarFunction(DrivingFunction):
         for n in range(start.scenarios):
             requests = count_requests()
             try:
-                made = self._make({name: float(values[n]) for name, values in start.parameters.items()})
+                made = self._create_object({name: float(values[n]) for name, values in start.parameters.items()})
                 ego = Ego(**vars(body), values=start.values[n])
                 made.start(ego, start.network, start.generator(n, "driver"))
             except BaseException as error:
@@ -226,7 +226,7 @@ class ScalarFunction(DrivingFunction):
                 made = self.prototype
             self._objects.append(made)
 
-    def _make(self, numbers: Mapping[str, float]) -> SystemUnderTest:
+    def _create_object(self, numbers: Mapping[str, float]) -> SystemUnderTest:
         """Return a new object like the prototype, with some numeric options changed."""
         if not numbers:
             # A copy has also what a dataclass changes after its construction.
@@ -234,7 +234,7 @@ class ScalarFunction(DrivingFunction):
                 return deepcopy(self.prototype)
         if is_dataclass(self.prototype) and vars(self.prototype.with_options()) != vars(self.prototype):
             raise InputError("its __post_init__ changes its fields, so they cannot be varied; give it an __init__")
-        made: SystemUnderTest = with_numbers(self.prototype, numbers)
+        made: SystemUnderTest = copy_with_numeric_options(self.prototype, numbers)
         return made
 
     def decide(self, situation: Situation) -> Controls:

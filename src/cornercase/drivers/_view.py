@@ -194,7 +194,7 @@ class SharedView:
     def _seen(self) -> tuple[FloatArray, FloatArray, IntArray]:
         """Results of the kernel `look`: pose on the path (N, 3), view of A others (N, A, 8), leader (N,)."""
         # Its kernels take long to import.
-        from cornercase.drivers._kernels.look import N_COLUMNS, look
+        from cornercase.drivers._kernels.ego_view import N_COLUMNS, look
 
         s = self.situation
         shape = s.others_x.shape
@@ -212,14 +212,14 @@ class SharedView:
         return self._seen[0].T
 
     @property
-    def relative(self) -> FloatArray:
+    def relative_poses(self) -> FloatArray:
         """A others relative to the ego: centre of the box ahead and to the left in m, and heading in rad, (3, N, A)."""
         return self._seen[1][..., :3].transpose(2, 0, 1)
 
     @property
-    def along_path(self) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
+    def objects_along_path(self) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
         """A others along the ego's path: gap, closing speed, lateral distance, and True if in the path, (N, A) each."""
-        from cornercase.drivers._kernels.look import CLOSING, GAP, IN_PATH, LATERAL
+        from cornercase.drivers._kernels.ego_view import CLOSING, GAP, IN_PATH, LATERAL
 
         objects = self._seen[1]
         return objects[..., GAP], objects[..., CLOSING], objects[..., LATERAL], objects[..., IN_PATH] == 1.0
@@ -422,7 +422,7 @@ class View:
             SignalView(name, states.get(name, ""), *placed.get(name, ("", math.nan)))
             for name in dict.fromkeys((*placed, *states))
         ]
-        return {view.name: view for view in sorted(views, key=_order_of_signal)}
+        return {view.name: view for view in sorted(views, key=_signal_sort_key)}
 
     def path(self, ahead: float) -> PathPoint:
         """Return the point of the ego's path at a distance ahead.
@@ -453,6 +453,6 @@ def _limit_ahead(path: DrivenPath, ahead: FloatArray | float) -> FloatArray | fl
     return ahead if path.distance.ndim == 1 else np.minimum(ahead, FARTHEST_ON_TRAJECTORY)
 
 
-def _order_of_signal(signal: SignalView) -> tuple[bool, bool, float]:
+def _signal_sort_key(signal: SignalView) -> tuple[bool, bool, float]:
     """Return a sort key: signals ahead come first, then passed signals, then signals that are not along the path."""
     return math.isnan(signal.gap), signal.gap < 0.0, abs(signal.gap)

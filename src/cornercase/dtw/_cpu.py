@@ -107,7 +107,7 @@ def compute_distances_on_cpu(
     partners = singles if columns is None else _sort_by_length(columns, dtype)
     blocks = [_interleave_block(partners, first, dims, lanes) for first in range(0, len(partners.order), lanes)]
     out = np.full((len(singles.order), len(partners.order)), 0.0 if needed is None else np.inf, dtype=dtype)
-    kernel = get_compiled_kernel(dims, squared, window is not None, dtype)
+    kernel = compile_dtw_kernel(dims, squared, window is not None, dtype)
     band = -1 if window is None else window
 
     def compute_tile(block: _InterleavedBlock, tile: range) -> int:
@@ -213,7 +213,7 @@ def _local_cost(x, y, j, dims, squared, lanes):
 # A row of the cost table is stored after one column of infinity. Columns `lower` to `upper` are in the band of the lane
 # with the widest band; narrower bands are masked.
 @_inline_kernel
-def _one_row(x, i, y, lower, upper, row, below, above, infinity, dims, squared, banded, lanes):
+def _advance_one_row(x, i, y, lower, upper, row, below, above, infinity, dims, squared, banded, lanes):
     x_a = broadcast_point(x, i * dims, dims)
     diagonal = load_vector(row, lower * lanes)
     a = load_vector(infinity, 0)
@@ -228,7 +228,7 @@ def _one_row(x, i, y, lower, upper, row, below, above, infinity, dims, squared, 
 
 
 @_inline_kernel
-def _four_rows(x, i, y, lower, upper, row, below, above, infinity, dims, squared, banded, lanes):
+def _advance_four_rows(x, i, y, lower, upper, row, below, above, infinity, dims, squared, banded, lanes):
     x_a = broadcast_point(x, i * dims, dims)
     x_b = broadcast_point(x, (i + 1) * dims, dims)
     x_c = broadcast_point(x, (i + 2) * dims, dims)
@@ -289,11 +289,13 @@ def _tile_kernel(dims: int, squared: bool, banded: bool, lanes: int) -> Callable
                 lower = max(0, i - reach_below)
                 if i + 4 <= length:
                     upper = min(longest, i + 4 + reach_above)
-                    _four_rows(x, i, block, lower, upper, row, low, high, infinity, dims, squared, banded, lanes)
+                    _advance_four_rows(
+                        x, i, block, lower, upper, row, low, high, infinity, dims, squared, banded, lanes
+                    )
                     i += 4
                 else:
                     upper = min(longest, i + 1 + reach_above)
-                    _one_row(x, i, block, lower, upper, row, low, high, infinity, dims, squared, banded, lanes)
+                    _advance_one_row(x, i, block, lower, upper, row, low, high, infinity, dims, squared, banded, lanes)
                     i += 1
             for lane in range(members):
                 distance = row[block_lengths[lane] * lanes + lane]
@@ -304,7 +306,7 @@ def _tile_kernel(dims: int, squared: bool, banded: bool, lanes: int) -> Callable
     return kernel_module.kernel()(tile)
 
 
-def get_compiled_kernel(dims: int, squared: bool, banded: bool, dtype: npt.DTypeLike) -> Callable[..., None]:
+def compile_dtw_kernel(dims: int, squared: bool, banded: bool, dtype: npt.DTypeLike) -> Callable[..., None]:
     """Return the compiled kernel for one kind of local cost, one type, and a band or none."""
     dtype = np.dtype(dtype)
     kernel = _tile_kernel(dims, squared, banded, simd.VECTOR_BYTES // dtype.itemsize)

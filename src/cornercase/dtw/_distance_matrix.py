@@ -20,10 +20,10 @@ from cornercase._common.errors import InputError
 from cornercase._common.platform import count_available_cpus
 from cornercase._common.process.dask import check_client
 from cornercase._common.progress import progress_step, show_bars
-from cornercase.dtw import _dask_tiles as dask_tiles
-from cornercase.dtw import _disk as disk
-from cornercase.dtw import _pairs as pairs
-from cornercase.dtw._pairs import DtwSettings
+from cornercase.dtw import _dask_squares as dask_tiles
+from cornercase.dtw import _in_memory as pairs
+from cornercase.dtw import _matrix_file as disk
+from cornercase.dtw._in_memory import DtwSettings
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -238,7 +238,7 @@ def _compute_distances(
 ) -> npt.NDArray[np.floating[Any]]:
     if client is None:
         return pairs.compute_distances(rows, columns, settings, report_progress)
-    return dask_tiles.compute_distances_on_cluster(rows, columns, settings, client, report_progress)
+    return dask_tiles.compute_distances_on_dask(rows, columns, settings, client, report_progress)
 
 
 def _check_settings(

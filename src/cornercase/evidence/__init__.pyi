@@ -1,5 +1,5 @@
-from ._bands import Bands as Bands
+from ._criticality_bands import Bands as Bands
 from ._interval_estimate import Estimate as Estimate
 from ._probability import Probability as Probability
 from ._sensitivity import Sensitivity as Sensitivity
-from ._set_difference import SetDifference as SetDifference
+from ._set_difference import CriticalSetDifference as CriticalSetDifference

@@ -10,8 +10,8 @@ from scipy.special import ndtr
 
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.evidence._feature_models import FeatureKernels, PerBranchFeatureModels
-from cornercase.evidence.gp._kernel import evenly_spaced_indices, indices_with_rare_values
-from cornercase.evidence.gp._process import GaussianProcess, fit_boundary_process, squash_around_threshold
+from cornercase.evidence.gp._gaussian_process import GaussianProcess, fit_boundary_process, squash_around_threshold
+from cornercase.evidence.gp._matern_kernel import evenly_spaced_indices, indices_with_rare_values
 from cornercase.metrics import Feature
 from cornercase.study._criterion import Criterion
 
@@ -97,7 +97,7 @@ class CommitteeModel:
         """
         self.process = fit_boundary_process(points, scores, self._criterion, has_prediction=self._has_prediction)
         self._weights = np.ones(3)
-        self._drops_prediction = self._has_prediction and not self._prediction_helps(points, scores)
+        self._drops_prediction = self._has_prediction and not self._source_prediction_helps(points, scores)
         self._learn_features(points, scores, features)
         self._kernels = self._feature_models.kernels
         by_member = self._out_of_fold_by_member()
@@ -209,7 +209,7 @@ class CommitteeModel:
                 probability[test, 1] = forest.predict(self._points[test])
         return probability
 
-    def _prediction_helps(self, points: FloatArray, scores: FloatArray) -> bool:
+    def _source_prediction_helps(self, points: FloatArray, scores: FloatArray) -> bool:
         """Return whether another study's prediction improves a random forest by more than one standard error.
 
         Forests with and without the prediction are compared by the log loss of scenarios outside of their fold. One
@@ -278,7 +278,7 @@ class CommitteeModel:
         """
         if len(scores) <= self.max_tree_scenarios:
             return np.arange(len(scores))
-        near, rest = self._nearest_and_rest(scores, self.max_tree_scenarios // 2)
+        near, rest = self._split_by_threshold_distance(scores, self.max_tree_scenarios // 2)
         critical = self._criterion.is_critical(scores[rest])
         rare = critical if 2 * critical.sum() < len(critical) else ~critical
         return np.sort(
@@ -293,12 +293,12 @@ class CommitteeModel:
         """
         if len(scores) <= self.max_process_scenarios:
             return None
-        near, rest = self._nearest_and_rest(scores, self.max_process_scenarios // 2)
+        near, rest = self._split_by_threshold_distance(scores, self.max_process_scenarios // 2)
         return np.sort(
             np.concatenate([near, rest[evenly_spaced_indices(len(rest), self.max_process_scenarios - len(near))]])
         )
 
-    def _nearest_and_rest(self, scores: FloatArray, count: int) -> tuple[IntArray, IntArray]:
+    def _split_by_threshold_distance(self, scores: FloatArray, count: int) -> tuple[IntArray, IntArray]:
         """Return the indices of the `count` scores nearest to the threshold, and all other indices in order."""
         order = np.argsort(np.abs(self._criterion.margins(scores)), kind="stable")
         return order[:count], np.sort(order[count:])

@@ -16,21 +16,21 @@ from scipy.special import ndtri
 from cornercase._common.numba.blas import single_threaded_blas
 from cornercase._common.row_keys import row_keys
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
-from cornercase.evidence._calibration import SURPRISE_RATES, ProbitCalibration, stratified_indices
 from cornercase.evidence._committee import PREDICTED_CRITICAL, CommitteeModel
+from cornercase.evidence._critical_set_draws import N_DRAWS, CriticalSetDraws
 from cornercase.evidence._interval_estimate import Estimate
-from cornercase.evidence._multi_fidelity import SourceStudyModel, augment_points
+from cornercase.evidence._multi_fidelity import SourceStudyModel, append_source_prediction
 from cornercase.evidence._out_of_sample import cross_validate_scores
+from cornercase.evidence._probit_calibration import SURPRISE_RATES, ProbitCalibration, draw_stratified_indices
 from cornercase.evidence._proportions import anytime_upper_bound, proportion_interval
-from cornercase.evidence._set_samples import N_DRAWS, SetSamples
 from cornercase.evidence._space_sample import SpaceSample
-from cornercase.evidence.gp._blas import multiply_lower_triangular
-from cornercase.evidence.gp._process import (
+from cornercase.evidence.gp._gaussian_process import (
     encode_points,
     fit_boundary_process,
     require_enough_scores,
     squash_around_threshold,
 )
+from cornercase.evidence.gp._triangular_products import multiply_lower_triangular
 from cornercase.metrics import Feature
 from cornercase.scenario import ParameterSpace
 from cornercase.study._criterion import Criterion
@@ -115,7 +115,10 @@ class CriticalSet:
         self._critical = criterion.is_critical(scores)
         self._sample = SpaceSample.from_space(space, seed) if sample is None else sample
         self._encoded_points, self._source_model = encode_points(space, points), source_model
-        coordinates, has_prediction = augment_points(source_model, self._encoded_points), source_model is not None
+        coordinates, has_prediction = (
+            append_source_prediction(source_model, self._encoded_points),
+            source_model is not None,
+        )
         self._committee: CommitteeModel | None = None
         if features is not None and 0 < self._critical.sum() < len(scores):
             columns, values = features
@@ -124,7 +127,7 @@ class CriticalSet:
             self._process = self._committee.process
         else:
             self._process = fit_boundary_process(coordinates, scores, criterion, has_prediction=has_prediction)
-        mean, self._z = self._margin_and_z(self._sample.encoded_points)
+        mean, self._z = self._predict_margin_and_deviate(self._sample.encoded_points)
         self._outcome_by_key = dict(
             zip(row_keys(space.snap(points)), np.where(self._critical, np.inf, -np.inf), strict=True)
         )
@@ -141,7 +144,7 @@ class CriticalSet:
             if self._committee is not None:
                 # Of all scenarios, as normal deviates.
                 self._out_of_fold = _normal_deviate(self._committee.out_of_fold_probability())
-            t, critical = self._prediction_record()
+            t, critical = self._collect_unbiased_predictions()
             edge = 0.0 if self._committee is None else float(_normal_deviate(np.array(PREDICTED_CRITICAL)))
             self._missed_none = not (critical & (t > edge)).any()
             self._calibration = ProbitCalibration(
@@ -149,7 +152,7 @@ class CriticalSet:
                 critical,
                 _PREDICTION_WEIGHT,
                 self._probability_of_surprises(scores, criterion),
-                self._record_of_chosen(),
+                self._collect_chosen_predictions(),
             )
 
     @property
@@ -160,20 +163,20 @@ class CriticalSet:
         """
         return self._committee is not None
 
-    def _margin_and_z(self, encoded_points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _predict_margin_and_deviate(self, encoded_points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return two predictions at encoded points (m, e), (m,) each: the margin, and the deviate z.
 
         The margin is negative if the model predicts *critical*. z is the distance to the threshold in standard
         deviations.
         """
-        encoded_points = augment_points(self._source_model, encoded_points)
+        encoded_points = append_source_prediction(self._source_model, encoded_points)
         if self._committee is not None:
             t = _normal_deviate(self._committee.predict(encoded_points)[0])
             return t - _normal_deviate(np.array(PREDICTED_CRITICAL)), t
         mean, deviation = self._process.predict(encoded_points)
         return mean, mean / np.hypot(deviation, self._process.kernel.noise)
 
-    def _prediction_record(self) -> tuple[FloatArray, BoolArray]:
+    def _collect_unbiased_predictions(self) -> tuple[FloatArray, BoolArray]:
         """Return out-of-sample predictions for scenarios chosen independently of scores, and whether each was critical.
 
         These scenarios are the initial design and the audits (scenarios drawn at random as a check). A prediction is
@@ -186,11 +189,11 @@ class CriticalSet:
             t = mean / deviation
         critical = self._critical[self._is_initial_design]
         if len(self._audit_points):
-            t = np.concatenate([t, self._margin_and_z(encode_points(self._space, self._audit_points))[1]])
+            t = np.concatenate([t, self._predict_margin_and_deviate(encode_points(self._space, self._audit_points))[1]])
             critical = np.concatenate([critical, self._audit_is_critical])
         return t, critical
 
-    def _record_of_chosen(self) -> tuple[FloatArray, BoolArray] | None:
+    def _collect_chosen_predictions(self) -> tuple[FloatArray, BoolArray] | None:
         """Return the committee's out-of-fold predictions for scenarios chosen by scores, and whether each was critical.
 
         None without a committee: with the process's predictions of these scenarios, intervals held less often on the
@@ -224,8 +227,8 @@ class CriticalSet:
 
         Each `key` gives independent draws.
         """
-        factor, deviation = self._process.joint_covariance(
-            augment_points(self._source_model, self._sample.encoded_points[indices])
+        factor, deviation = self._process.joint_covariance_factor(
+            append_source_prediction(self._source_model, self._sample.encoded_points[indices])
         )
         standard = np.random.default_rng([self._seed, key]).standard_normal((len(factor), N_DRAWS))
         normal = multiply_lower_triangular(factor, standard)
@@ -233,9 +236,9 @@ class CriticalSet:
         return normal
 
     @cached_property
-    def _samples(self) -> SetSamples:
+    def _samples(self) -> CriticalSetDraws:
         """Critical sets drawn from the posterior."""
-        return SetSamples(
+        return CriticalSetDraws(
             self._calibration,
             self._seed,
             self._sample.weights,
@@ -256,7 +259,7 @@ class CriticalSet:
         if not len(points):
             return np.zeros(0, dtype=np.bool_)
         return _is_predicted_critical(
-            self._margin_and_z(encode_points(self._space, points))[0], self._outcomes_of(points)
+            self._predict_margin_and_deviate(encode_points(self._space, points))[0], self._outcomes_of(points)
         )
 
     def _outcomes_of(self, points: FloatArray) -> FloatArray:
@@ -325,13 +328,13 @@ class CriticalSet:
         """
         if not self._critical.any():
             return Estimate(*[float(not self.is_exhausted)] * 3)
-        not_found, critical = self._drawn_fractions
+        not_found, critical = self._not_found_and_critical_draws
         estimate = Estimate.from_draws(not_found / critical) if len(critical) else Estimate(1.0, 0.0, 1.0)
         # As long as no prediction missed a critical scenario, it is possible that none is missed.
         return replace(estimate, low=0.0) if self._missed_none else estimate
 
     @cached_property
-    def _drawn_fractions(self) -> tuple[FloatArray, FloatArray]:
+    def _not_found_and_critical_draws(self) -> tuple[FloatArray, FloatArray]:
         """Draws of two fractions of the space: critical but not found, and critical in total.
 
         Draws without anything critical are left out, since something is critical.
@@ -352,14 +355,14 @@ class CriticalSet:
         """
         if self.missed_interval_unavailable or not self._critical.any():
             return float(not self.is_exhausted)
-        not_found, critical = self._drawn_fractions
+        not_found, critical = self._not_found_and_critical_draws
         if not len(critical):
             return 1.0
         sizes = np.append(0.0, SURPRISE_RATES)
         escapes = [_P_HIDDEN / len(SURPRISE_RATES) * self.unexplored_fraction(size) for size in sizes[1:]]
         probability = np.array([1.0 - _P_HIDDEN, *escapes])
         rng = np.random.default_rng([self._seed, 8])
-        hidden = sizes[stratified_indices(probability / probability.sum(), len(critical), rng)]
+        hidden = sizes[draw_stratified_indices(probability / probability.sum(), len(critical), rng)]
         return float(np.quantile((not_found + hidden) / (critical + hidden), confidence))
 
     @cached_property
@@ -392,7 +395,7 @@ class CriticalSet:
         """Upper bound of `audited_missed_fraction` that holds even if the decision to stop depends on the bound."""
         return anytime_upper_bound(*self._missed_audits_and_total)
 
-    def of_other_scores(self, points: FloatArray, scores: FloatArray, criterion: Criterion) -> CriticalSet:
+    def estimate_for_other_scores(self, points: FloatArray, scores: FloatArray, criterion: Criterion) -> CriticalSet:
         """Estimate the critical set of other scores in the same space, for a comparison with this set.
 
         ValueError if there are fewer than 10 scores, or all are the same.

@@ -10,7 +10,7 @@ import numpy as np
 
 from cornercase._common.numba.blas import single_threaded_blas
 from cornercase._common.typing import FloatArray, IntArray
-from cornercase.evidence.gp._kernel import Floats, MaternKernel, evenly_spaced_indices, fit_kernel
+from cornercase.evidence.gp._matern_kernel import Floats, MaternKernel, evenly_spaced_indices, fit_kernel
 from cornercase.evidence.gp._posterior import ExactPosterior
 
 _MAX_NOISE: Final = 0.5

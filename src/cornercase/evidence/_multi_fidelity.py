@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cornercase._common.typing import FloatArray
-from cornercase.evidence.gp._process import fit_boundary_process
+from cornercase.evidence.gp._gaussian_process import fit_boundary_process
 from cornercase.study._criterion import Criterion
 
 
@@ -30,7 +30,7 @@ class SourceStudyModel:
     def __init__(self, points: FloatArray, scores: FloatArray, criterion: Criterion) -> None:
         self.process, self._criterion = fit_boundary_process(points, scores, criterion), criterion
 
-    def augment(self, points: FloatArray) -> FloatArray:
+    def append_prediction(self, points: FloatArray) -> FloatArray:
         """Append the other study's prediction to encoded points (m, e) as another coordinate, (m, e + 1)."""
         return np.column_stack([points, self.process.predict(points)[0]])
 
@@ -39,10 +39,10 @@ class SourceStudyModel:
 
         The criterion is that of `fit_boundary_process`.
         """
-        process = fit_boundary_process(self.augment(points), scores, self._criterion, has_prediction=True)
+        process = fit_boundary_process(self.append_prediction(points), scores, self._criterion, has_prediction=True)
         return bool(np.isfinite(process.kernel.length_scales[-1]))
 
 
-def augment_points(source_model: SourceStudyModel | None, points: FloatArray) -> FloatArray:
+def append_source_prediction(source_model: SourceStudyModel | None, points: FloatArray) -> FloatArray:
     """Append another study's prediction to encoded points (m, e); without `source_model`, return them unchanged."""
-    return points if source_model is None else source_model.augment(points)
+    return points if source_model is None else source_model.append_prediction(points)

@@ -7,8 +7,8 @@ from typing import Final
 import numpy as np
 
 from cornercase._common.typing import FloatArray, IntArray
+from cornercase.evidence.gp._gaussian_process import GaussianProcess, squash_around_threshold
 from cornercase.evidence.gp._posterior import MAX_EXACT_VALUES
-from cornercase.evidence.gp._process import GaussianProcess, squash_around_threshold
 from cornercase.study._criterion import Criterion
 
 # Number of values per dimension up to which the kernel overfits, and number of folds.

@@ -10,7 +10,7 @@ from scipy.special import ndtr, ndtri
 from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.evidence._mixture import TMixture
-from cornercase.evidence.gp._process import encode_points, fit_boundary_process, require_enough_scores
+from cornercase.evidence.gp._gaussian_process import encode_points, fit_boundary_process, require_enough_scores
 from cornercase.scenario import ParameterSpace
 from cornercase.study._criterion import Criterion
 
@@ -64,7 +64,7 @@ class ImportanceSampling:
         n_events: int,
         max_learning_scenarios: int,
         seed: int,
-        initial_proposal: TMixture | None = None,
+        fit_initial_proposal: TMixture | None = None,
     ) -> None:
         self._space, self._events, self._learn, self._seed = space, n_events, max_learning_scenarios, seed
         self._first_round_size = max(_MIN_ROUND_SIZE, round(_FIRST_ROUND_FRACTION * max_learning_scenarios))
@@ -73,7 +73,7 @@ class ImportanceSampling:
         self._met = np.zeros((0, n_events), dtype=np.bool_)
         self._plain_distribution = TMixture.normal_around_zero(space.dimension)
         self._wide = [TMixture.normal_around_zero(space.dimension, deviation) for deviation in _WIDE_DEVIATIONS]
-        self._earlier = [] if initial_proposal is None else [initial_proposal]
+        self._earlier = [] if fit_initial_proposal is None else [fit_initial_proposal]
         self._proposal, self._drawn = self._plain_distribution, list[tuple[int, TMixture]]()
         self._rounds, self._ready, self._frozen, self._is_plain = 0, 0, False, False
         self._factor: tuple[float, float] | None = None
@@ -134,7 +134,7 @@ class ImportanceSampling:
         constraints.
         """
         normal = _to_standard_normal(points)
-        factor, _ = self._constraint_factor_and_error()
+        factor, _ = self._estimate_constraint_factor()
         return np.asarray(
             factor * np.exp(self._plain_distribution.log_density(normal) - self._proposal.log_density(normal))
         )
@@ -145,9 +145,9 @@ class ImportanceSampling:
 
         The error comes from the estimated fraction of draws within the constraints.
         """
-        return self._constraint_factor_and_error()[1]
+        return self._estimate_constraint_factor()[1]
 
-    def _constraint_factor_and_error(self) -> tuple[float, float]:
+    def _estimate_constraint_factor(self) -> tuple[float, float]:
         """Return the factor of all weights that is due to constraints, and its relative standard error.
 
         The factor is the fraction of the proposal within the constraints over the same fraction of the parameters'
@@ -250,7 +250,7 @@ class ImportanceSampling:
         return selected, hits >= count and bool(effective[hits - 1] >= _EVENTS_FACTOR * needed)
 
 
-def initial_proposal(
+def fit_initial_proposal(
     space: ParameterSpace, points: FloatArray, scores: FloatArray, criterion: Criterion, seed: int
 ) -> TMixture | None:
     """Fit a proposal for critical scenarios to a Gaussian process of known scores; None if too little is known.

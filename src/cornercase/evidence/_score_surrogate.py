@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 
 from cornercase._common.typing import FloatArray
-from cornercase.evidence.gp._kernel import evenly_spaced_indices
-from cornercase.evidence.gp._process import GaussianProcess, encode_points, require_enough_scores
+from cornercase.evidence.gp._gaussian_process import GaussianProcess, encode_points, require_enough_scores
+from cornercase.evidence.gp._matern_kernel import evenly_spaced_indices
 from cornercase.scenario import ParameterSpace
 
 _MAX_LEFT_OUT: Final = 4096  # greatest number of values that are left out in turn

@@ -12,9 +12,9 @@ from cornercase._common.numba.blas import single_threaded_blas
 from cornercase._common.text.notebook_html import render_html_table
 from cornercase._common.typing import FloatArray
 from cornercase.evidence._score_surrogate import MIN_PREDICTED, ScoreSurrogate, fit_surrogate
-from cornercase.evidence.gp._blas import multiply_lower_triangular
-from cornercase.evidence.gp._kernel import evenly_spaced_indices
-from cornercase.evidence.gp._process import GaussianProcess, encode_points
+from cornercase.evidence.gp._gaussian_process import GaussianProcess, encode_points
+from cornercase.evidence.gp._matern_kernel import evenly_spaced_indices
+from cornercase.evidence.gp._triangular_products import multiply_lower_triangular
 from cornercase.scenario import ParameterSpace
 
 if TYPE_CHECKING:
@@ -198,7 +198,7 @@ def _index_deviations(space: ParameterSpace, process: GaussianProcess, seed: int
     mixed = [np.where(np.arange(dims) == j, b, a) for j in range(dims)]
     points = encode_points(space, space.snap(np.concatenate([a, b, *mixed])))
     mean, _ = process.predict(points)
-    factor, _ = process.joint_covariance(points, with_noise=False)
+    factor, _ = process.joint_covariance_factor(points, with_noise=False)
     normal = np.random.default_rng([seed, 3]).standard_normal((len(points), _N_DRAWS))
     values = np.concatenate([mean[:, None], mean[:, None] + multiply_lower_triangular(factor, normal)], axis=1)
     values_a, values_b, *values_mixed = values.reshape(dims + 2, count, -1)

@@ -12,7 +12,7 @@ from cornercase.evidence._interval_estimate import Estimate
 
 
 @dataclass(frozen=True)
-class SetDifference:
+class CriticalSetDifference:
     """Difference between two critical sets of the same parameter space.
 
     Attributes
@@ -47,7 +47,7 @@ class SetDifference:
     p: float
 
     @classmethod
-    def from_critical_sets(cls, old: CriticalSet, new: CriticalSet) -> SetDifference:
+    def from_critical_sets(cls, old: CriticalSet, new: CriticalSet) -> CriticalSetDifference:
         """Compare two critical sets that were estimated from different scenarios.
 
         Parameters
@@ -57,7 +57,7 @@ class SetDifference:
 
         Returns
         -------
-        SetDifference
+        CriticalSetDifference
 
         Notes
         -----

@@ -10,7 +10,7 @@ import numpy as np
 
 from cornercase._common.row_keys import row_keys
 from cornercase._common.typing import FloatArray, IntArray
-from cornercase.evidence.gp._process import encode_points
+from cornercase.evidence.gp._gaussian_process import encode_points
 from cornercase.scenario import ParameterSpace
 
 _BLOCK_SIZE: Final = 2**14  # points per block of the sequence

@@ -12,15 +12,15 @@ import numpy as np
 
 from cornercase._common.progress import ProgressBar
 from cornercase._common.typing import FloatArray
-from cornercase.exploration._condition_references import PendingCondition, scenario_for_reference
 from cornercase.exploration._config import ExplorationConfig
 from cornercase.exploration._explorer import ScenarioExplorer
 from cornercase.exploration._proposals import iter_rounds
-from cornercase.exploration._repeat_policy import RepeatedRun
+from cornercase.exploration._reference_driver_runs import PendingCondition, make_scenario_for_reference_driver
+from cornercase.exploration._repeat_policy import RepeatedScenario
 from cornercase.optimizers import Optimizer
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import Simulator
-from cornercase.simulators._stream import SimulatorStream
+from cornercase.simulators._executor import SimulatorExecutor
 from cornercase.study import ScenarioRecord, StudyFile
 from cornercase.study._objective import Objective
 
@@ -58,7 +58,7 @@ class AsynchronousExplorer(ScenarioExplorer):
         # By scenario id: scenarios in progress, their runs, and conditions that need a run with a reference driver.
         # After that: results that the optimizer has not observed yet.
         self._pending: dict[int, ScenarioRecord] = {}
-        self._repeated_runs: dict[int, RepeatedRun] = {}
+        self._repeated_runs: dict[int, RepeatedScenario] = {}
         self._pending_conditions: dict[int, PendingCondition] = {}
         self._new_results: list[ScenarioRecord] = []
         self._new_scores: dict[int, Any] = {}
@@ -72,7 +72,7 @@ class AsynchronousExplorer(ScenarioExplorer):
     def _run_without_rounds(self, bar: ProgressBar | None, check_interrupt: Callable[[], None]) -> str:
         """Run scenarios until a termination criterion holds and all runs have ended; return the criterion as text."""
         start, reason = time.monotonic(), None
-        with closing(SimulatorStream(self._simulators)) as stream:
+        with closing(SimulatorExecutor(self._simulators)) as stream:
             proposed, number = self._resume_without_rounds(stream)
             while True:
                 if bar is not None:
@@ -98,7 +98,7 @@ class AsynchronousExplorer(ScenarioExplorer):
                     self._wait_for_result(stream, check_interrupt)
                 self._clock.save_times()
 
-    def _resume_without_rounds(self, stream: SimulatorStream) -> tuple[int, int]:
+    def _resume_without_rounds(self, stream: SimulatorExecutor) -> tuple[int, int]:
         """Pass the stored results to the optimizer in their order, and submit pending scenarios.
 
         Returns the number of stored scenarios, and the number of the last round.
@@ -113,13 +113,13 @@ class AsynchronousExplorer(ScenarioExplorer):
                 break
             if turn.finished:
                 self._tell_round(list(turn.finished), scores)
-            if self._optimizer.is_stateful_ask and (searched := self._without_audits(turn.proposed)):
+            if self._optimizer.is_stateful_ask and (searched := self._select_rows_without_audits(turn.proposed)):
                 self._ask_tell.pending = self._points_without_audits(turn.pending)
                 self._ask_tell.ask(len(searched))
         pending = [row for row in rows if row.state == "pending"]
         if not pending:
             # The search had ended, and scenarios that were still running at that time have given results since.
-            self._stopping.check_again()
+            self._stopping.request_check()
         self._submit_rows(stream, pending)
         return len(rows), rows[-1].round if rows else 0
 
@@ -127,15 +127,15 @@ class AsynchronousExplorer(ScenarioExplorer):
         self._ask_tell.pending = self._points_without_audits(list(self._pending.values()))
         return self._propose_round(round_number, n_proposed, n_wanted)
 
-    def _without_audits(self, rows: Sequence[ScenarioRecord]) -> list[ScenarioRecord]:
+    def _select_rows_without_audits(self, rows: Sequence[ScenarioRecord]) -> list[ScenarioRecord]:
         return [row for row in rows if not self._study.meta.is_audit(row.id)]
 
-    def _submit_rows(self, stream: SimulatorStream, rows: Sequence[ScenarioRecord]) -> None:
+    def _submit_rows(self, stream: SimulatorExecutor, rows: Sequence[ScenarioRecord]) -> None:
         for row in rows:
             self._pending[row.id] = row
             self._submit_scenario(stream, self._runner.start_scenario(row))
 
-    def _submit_scenario(self, stream: SimulatorStream, repeated_run: RepeatedRun) -> None:
+    def _submit_scenario(self, stream: SimulatorExecutor, repeated_run: RepeatedScenario) -> None:
         self._repeated_runs[repeated_run.row.id] = repeated_run
         stream.submit(
             repeated_run.row.id,
@@ -146,7 +146,7 @@ class AsynchronousExplorer(ScenarioExplorer):
         """Run scenarios in a worker thread, without access to other state of the search."""
         return list(self._runner.simulate(simulator, concretes))
 
-    def _wait_for_result(self, stream: SimulatorStream, check_interrupt: Callable[[], None]) -> None:
+    def _wait_for_result(self, stream: SimulatorExecutor, check_interrupt: Callable[[], None]) -> None:
         """Wait for the next result; store it, or submit another run of the same scenario."""
         with self._clock("simulate"):
             key, outcomes = stream.wait_for_result(check_interrupt)
@@ -156,14 +156,14 @@ class AsynchronousExplorer(ScenarioExplorer):
             self._runner.record_reference_run(result, outcomes[0])
         else:
             result = self._runner.record_outcomes(self._repeated_runs.pop(row.id), outcomes)
-        if isinstance(result, RepeatedRun):
+        if isinstance(result, RepeatedScenario):
             self._submit_scenario(stream, result)
             return
         if isinstance(result, PendingCondition) and result.next_reference is not None:
             self._pending_conditions[row.id] = result
             stream.submit(
                 row.id,
-                partial(self._simulate_in_thread, [scenario_for_reference(self._config, row)]),
+                partial(self._simulate_in_thread, [make_scenario_for_reference_driver(self._config, row)]),
                 result.next_reference,
             )
             return
@@ -185,4 +185,6 @@ class AsynchronousExplorer(ScenarioExplorer):
 
     def _points_without_audits(self, rows: Sequence[ScenarioRecord]) -> FloatArray:
         """Points of the rows that are not audits (random scenarios for assessment only), shape (p, d)."""
-        return np.array([row.point for row in self._without_audits(rows)]).reshape(-1, self._space.dimension)
+        return np.array([row.point for row in self._select_rows_without_audits(rows)]).reshape(
+            -1, self._space.dimension
+        )

@@ -15,22 +15,22 @@ from cornercase._common.errors import InputError
 from cornercase._common.plugin_errors import is_built_in
 from cornercase._common.text.sanitize import remove_folders
 from cornercase._common.validation import check_mapping
-from cornercase.drivers._description import (
+from cornercase.drivers._resolve import DriverLike, check_drivers, may_be_named_in_file
+from cornercase.drivers._serialization import (
     driver_command_option,
     format_driver,
     iter_driver_changes,
     require_storable_drivers,
 )
-from cornercase.drivers._resolve import DriverLike, check_drivers, may_be_named_in_file
 from cornercase.exploration._explore_options import (
     CONFIG_OPTIONS,
     SEARCH_SETTINGS,
     ExplorationOptions,
-    stored_values,
+    read_stored_options,
 )
 from cornercase.metrics import METRICS, CriticalIf, Expression, Metric
 from cornercase.metrics._other_entities import ALL_OTHERS, resolve_others
-from cornercase.metrics._own_metrics import StoredMetric, as_items, name_or_own_metric, resolve_metrics
+from cornercase.metrics._own_metrics import StoredMetric, as_metric_tuple, name_or_own_metric, resolve_metrics
 from cornercase.optimizers import OPTIMIZERS, Optimizer
 from cornercase.optimizers._stored_optimizer import known_optimizer
 from cornercase.scenario import ConcreteScenario, LogicalScenario, Value
@@ -40,12 +40,12 @@ from cornercase.simulators._base import COMMON_OPTIONS
 from cornercase.simulators._common_options import select_declared_options, split_common_options
 from cornercase.stop._stop_rules import StopCriterion, resolve_stop_rules
 from cornercase.study import StudyFile, StudyMeta
+from cornercase.study._critical_run_rates import MIN_DECISIVE_RUNS
 from cornercase.study._import_recordings import IMPORTED_SIMULATOR
 from cornercase.study._meta import MAX_AUDIT_FRACTION, metric_fields
 from cornercase.study._objective import Objective
-from cornercase.study._run_rates import MIN_DECISIVE_RUNS
 from cornercase.study._scenario_file import find_explored_scenario
-from cornercase.study._stored_paths import stored_path
+from cornercase.study._stored_paths import format_stored_path
 
 _NUMERIC_OPTION: Final = re.compile(r"\w+=(true|false|[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?)")
 _NUMBER_WITH_UNIT: Final = re.compile(r"\s*[-+]?[\d.]+\s*[^\W\d]")
@@ -75,14 +75,14 @@ class ExplorationConfig(ExplorationOptions):
         given |= common
         if self.optimizer is not None:
             given["optimizer"] = _check_optimizer(self.optimizer)
-        given["metrics"] = tuple(map(name_or_own_metric, as_items(self.metrics)))
+        given["metrics"] = tuple(map(name_or_own_metric, as_metric_tuple(self.metrics)))
         criteria, max_seconds, patience = resolve_stop_rules(self.stop_when)
         given["stop_when"] = tuple(criteria)
         for name, limit in {"max_seconds": max_seconds, "patience": patience}.items():
             if limit is not None:
                 given[name] = limit if given[name] is None else min(given[name], limit)
         if isinstance(self.critical, str) and _NUMBER_WITH_UNIT.match(self.critical) and self.metrics:
-            raise self._threshold_with_unit()
+            raise self._make_threshold_unit_error()
         for name, option in CONFIG_OPTIONS.items():
             object.__setattr__(self, name, option.check(given[name]))
         all_entities = self.logical.scenario_file.entities if ALL_OTHERS in self.other else ()
@@ -94,9 +94,9 @@ class ExplorationConfig(ExplorationOptions):
             raise InputError(f"`audit` {self.audit:g}: give a fraction of the scenarios up to {MAX_AUDIT_FRACTION:g}.")
         object.__setattr__(self, "drivers", check_drivers(self.drivers))
         require_storable_drivers(self.drivers)
-        object.__setattr__(self, "max_repeats", self._decisive_max_repeats())
+        object.__setattr__(self, "max_repeats", self._check_max_repeats())
 
-    def _threshold_with_unit(self) -> InputError:
+    def _make_threshold_unit_error(self) -> InputError:
         metric = resolve_metrics(self.metrics)[0]
         example = f"{metric.name} {'<' if metric.lower_is_critical else '>'} {self.critical}"
         unit = "without a unit" if metric.unit == "1" else f"in {metric.unit}"
@@ -119,7 +119,7 @@ class ExplorationConfig(ExplorationOptions):
             if value not in (None, 1):
                 raise InputError(f"`critical_if` is evaluated on one run of each scenario; leave `{name}` out.")
 
-    def _decisive_max_repeats(self) -> int | None:
+    def _check_max_repeats(self) -> int | None:
         """Check `max_repeats`, the upper limit of runs per scenario, and return it; None if it equals `repeats`."""
         limit = self.max_repeats
         if limit in (None, self.repeats):
@@ -185,11 +185,11 @@ class ExplorationConfig(ExplorationOptions):
         condition.condition.check_installed()
         return condition
 
-    def require_own_code(self) -> None:
+    def require_metric_code(self) -> None:
         """Raise `InputError` if the code of a metric is missing: a study describes a metric, but has no code."""
-        for metric in as_items(self.metrics):
+        for metric in as_metric_tuple(self.metrics):
             if isinstance(metric, StoredMetric):
-                raise metric.missing_code()
+                raise metric.make_missing_class_error()
 
     @property
     def stop_criteria(self) -> tuple[StopCriterion, ...]:
@@ -254,7 +254,7 @@ class ExplorationConfig(ExplorationOptions):
         }
         fields_of_study["optimizer"] = str(self.search)
         return StudyMeta(
-            scenario=stored_path(self.logical.path, study),
+            scenario=format_stored_path(self.logical.path, study),
             fingerprint=self.logical.fingerprint,
             space=self.logical.space,
             other=self.others[0] if len(self.others) == 1 else self.others,
@@ -279,7 +279,7 @@ class ExplorationConfig(ExplorationOptions):
 def _check_optimizer(optimizer: str | Optimizer) -> Optimizer:
     """Return the given optimizer as an object; `InputError` if a study cannot store its name and options."""
     resolved = OPTIMIZERS.resolve(optimizer, "optimizer")
-    OPTIMIZERS.check_own_name(resolved)
+    OPTIMIZERS.check_name_not_taken(resolved)
     if not is_built_in(resolved):
         require_storable_options(resolved)
     return resolved
@@ -302,11 +302,11 @@ def config_from_study(
     """
     meta = study.meta
     logical = read_logical_scenario(study, scenario)
-    resolved_drivers = _drivers_to_continue(meta, file, drivers)
-    values = stored_values(meta) | {
-        "metrics": metrics or metrics_to_continue(meta),
+    resolved_drivers = _collect_study_drivers(meta, file, drivers)
+    values = read_stored_options(meta) | {
+        "metrics": metrics or read_study_metrics(meta),
         "optimizer": known_optimizer(meta.optimizer),
-        "simulator": _simulator_to_continue(meta, file) if simulator is None else simulator,
+        "simulator": _read_simulator_text(meta, file) if simulator is None else simulator,
         "drivers": resolved_drivers,
         # Its scores are copied into the study.
         "warm_start": None,
@@ -320,18 +320,18 @@ def simulator_from_study(meta: StudyMeta, file: Path) -> Simulator:
     `file` is the path of the study, for messages. Raises `InputError` if the simulator or a driver is the user's own
     code, or an option of the simulator is a text.
     """
-    name = _simulator_to_continue(meta, file)
+    name = _read_simulator_text(meta, file)
     if name != meta.simulator:
         raise InputError(
             f"{file}: was explored with '{meta.simulator[:100]}'; options that are texts could name programs and are"
             f" not taken from a study, so {_SIMULATOR_HINT}."
         )
-    options = {key: meta.settings.get(key) for key in COMMON_OPTIONS} | {"drivers": _drivers_to_continue(meta, file)}
+    options = {key: meta.settings.get(key) for key in COMMON_OPTIONS} | {"drivers": _collect_study_drivers(meta, file)}
     given = {key: value for key, value in options.items() if value not in (None, CONFIG_OPTIONS[key].default, {})}
     return SIMULATORS.create(name, **select_declared_options(name, SIMULATORS.get_class(name), given))
 
 
-def _simulator_to_continue(meta: StudyMeta, file: Path) -> str:
+def _read_simulator_text(meta: StudyMeta, file: Path) -> str:
     """Return a study's simulator as text; options are only included if all are numbers: texts could name programs."""
     name, _, options = meta.simulator.partition(":")
     if name == IMPORTED_SIMULATOR:
@@ -345,7 +345,7 @@ def _simulator_to_continue(meta: StudyMeta, file: Path) -> str:
     return meta.simulator if is_number else name
 
 
-def _drivers_to_continue(
+def _collect_study_drivers(
     meta: StudyMeta, file: Path, given: Mapping[str, DriverLike] | None = None
 ) -> dict[str, DriverLike]:
     """Return the drivers of a study by entity; `given` are the user's own drivers: the study has only their names."""
@@ -373,7 +373,7 @@ def read_logical_scenario(study: StudyFile, scenario: Path | str | ScenarioFile 
     return LogicalScenario(source.path, study.meta.space, study.meta.fingerprint, source)
 
 
-def metrics_to_continue(meta: StudyMeta) -> tuple[str | Metric, ...]:
+def read_study_metrics(meta: StudyMeta) -> tuple[str | Metric, ...]:
     """Return the names of a study's metrics; for a metric of unknown class, an object with the stored description."""
     names = meta.metrics[1:] if meta.condition else meta.metrics
     return tuple(name if name.partition(":")[0] in METRICS else meta.create_metric(name) for name in names)

@@ -18,10 +18,10 @@ from cornercase._common.errors import InputError
 from cornercase._common.io.files import check_output_differs_from_source
 from cornercase._common.option import check_options, document_options
 from cornercase._common.typing import FloatArray
-from cornercase._common.unknown_names import refuse_unknown
+from cornercase._common.unknown_names import refuse_unknown_arguments
 from cornercase._common.validation import check_bool, check_float, check_int, check_path
 from cornercase.drivers._resolve import DriverLike
-from cornercase.evidence._rare_events import ImportanceSampling, initial_proposal
+from cornercase.evidence._rare_events import ImportanceSampling, fit_initial_proposal
 from cornercase.exploration._config import ExplorationConfig, config_from_study, require_same_settings
 from cornercase.exploration._estimation import Estimation
 from cornercase.exploration._explore import simulator_from_config
@@ -122,7 +122,7 @@ def estimate(
     budget, seed = check_int("budget", budget, minimum=_MIN_BUDGET), check_int("seed", seed)
     encounter = check_float("encounter", encounter, minimum=0.0)
     check_bool("progress", progress)
-    refuse_unknown("estimate", [*signature(estimate).parameters, *RUN_OPTIONS], options)
+    refuse_unknown_arguments("estimate", [*signature(estimate).parameters, *RUN_OPTIONS], options)
     run_options = check_options("estimate", RUN_OPTIONS, options)
     with StudyFile.open(study_file, readonly=True) as source:
         if _ESTIMATE_OPTIMIZER_NAME.fullmatch(source.meta.optimizer):
@@ -141,10 +141,10 @@ def estimate(
         meta = replace(meta, optimizer=name, driver_in_file=source.meta.driver_in_file)
         require_same_settings(study_file, source.meta, running)
         assert objective.criterion is not None
-        start_proposal = initial_proposal(config.logical.space, points, scores, objective.criterion, seed)
+        start_proposal = fit_initial_proposal(config.logical.space, points, scores, objective.criterion, seed)
         sampling = ImportanceSampling(config.logical.space, _N_EVENTS, learn, seed, start_proposal)
         with open_or_create_study(output_file, meta) as opened:
-            opened.writer.resume(meta)
+            opened.writer.check_and_update_meta(meta)
             opened.writer.add_elapsed_time("files", time.monotonic() - start)
             result = ProbabilityEstimator(config, running, sampling, opened, encounter).run(progress)
     return result

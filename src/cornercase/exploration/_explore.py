@@ -14,7 +14,7 @@ from cornercase._common.io.files import check_output_differs_from_source
 from cornercase._common.io.support_table import Notice, warn_notices
 from cornercase._common.option import check_options, document_options
 from cornercase._common.process.dask import open_connection
-from cornercase._common.unknown_names import refuse_unknown
+from cornercase._common.unknown_names import refuse_unknown_arguments
 from cornercase._common.validation import check_bool, check_path
 from cornercase.drivers import Driver
 from cornercase.drivers._resolve import DriverLike, check_reference_driver, resolve_driver
@@ -31,13 +31,13 @@ from cornercase.optimizers import Optimizer
 from cornercase.scenario import LogicalScenario
 from cornercase.simulators import Simulator
 from cornercase.simulators._create import create_simulator
-from cornercase.simulators._driver_parameters import bounds_of_parameters, check_driver_parameters
+from cornercase.simulators._driver_parameters import check_driver_parameters, list_probe_values
 from cornercase.simulators._random_sensors import find_random_sensors, warn_if_runs_are_random
 from cornercase.simulators._results import check_simulator_accepts, list_ignored_content
-from cornercase.simulators._run_notices import driver_in_files, warn_if_ego_has_no_driver
+from cornercase.simulators._run_notices import find_driver_in_files, warn_if_ego_has_no_driver
 from cornercase.study import StudyFile
 from cornercase.study._objective import Objective
-from cornercase.study._remembered_paths import remember_scenario
+from cornercase.study._remembered_paths import remember_scenario_path
 from cornercase.study._study_file import open_or_create_study
 
 
@@ -97,7 +97,7 @@ def explore(
     ... )
     <ExplorationResult: 4 scenarios done in study.db; the budget of 4 scenarios is used up>
     """
-    refuse_unknown("explore", OPTIONS, options)
+    refuse_unknown_arguments("explore", OPTIONS, options)
     given: dict[str, Any] = {**options, "ego": ego, "other": other, "metrics": metrics}
     file = check_path("study", study)
     space, settings, call = (
@@ -201,14 +201,14 @@ def _run_exploration(
         meta = config.make_study_meta(
             objective, simulator.settings, None if warm_start is None else warm_start.study_info, study=study_path
         )
-        meta = replace(meta, driver_in_file=driver_in_files(simulator, [config.logical.scenario_file], config.ego))
+        meta = replace(meta, driver_in_file=find_driver_in_files(simulator, [config.logical.scenario_file], config.ego))
         with open_or_create_study(study_path, meta) as study:
             meta = replace(meta, optimizer=config.optimizer_text(study.meta.optimizer))
             if warm_start is None:
                 # A resumed study holds its warm-start data itself.
                 meta = replace(meta, elsewhere=study.meta.elsewhere)
-            study.writer.resume(meta, same_budget="budget" in optimizer.requires)
-            remember_scenario(config.logical.path, meta.fingerprint, study_path)
+            study.writer.check_and_update_meta(meta, same_budget="budget" in optimizer.requires)
+            remember_scenario_path(config.logical.path, meta.fingerprint, study_path)
             if warm_start is not None:
                 study.writer.save_warm_start(warm_start.points, warm_start.scores)
             had_ended = any(row.state != "pending" for row in study.rows())
@@ -233,8 +233,8 @@ def _notices_at_center(config: ExplorationConfig, simulator: Simulator) -> tuple
 
 def simulator_from_config(config: ExplorationConfig) -> Simulator:
     """Create the configured simulator; the caller has to close it. `InputError` if the code of a metric is missing."""
-    config.require_own_code()
-    bounds = bounds_of_parameters(config.logical.space)
+    config.require_metric_code()
+    bounds = list_probe_values(config.logical.space)
     check_driver_parameters(config.simulator, config.logical.scenario_file, _resolve_drivers(config.drivers), bounds)
     return _create_simulator(config, config.drivers)
 

@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from cornercase._common.option import Option, option, read_options
+from cornercase._common.option import Option, collect_options, option
 from cornercase.simulators._run_options import RunOptions, SimulationKeywords, SimulationOptions
 
 if TYPE_CHECKING:
@@ -174,18 +174,18 @@ _PANELS: Final = (_PROBLEM, _SEARCH, "Simulation", "Runs", "Study")
 OPTIONS: Final = {
     name: item
     for panel in _PANELS
-    for name, item in read_options(SpaceOptions, ExplorationOptions, OneTimeOptions).items()
+    for name, item in collect_options(SpaceOptions, ExplorationOptions, OneTimeOptions).items()
     if item.panel == panel
 }
 """All options by name, in the order of help, files and printed commands."""
-SPACE_OPTIONS: Final = read_options(SpaceOptions)
-CONFIG_OPTIONS: Final = read_options(ExplorationOptions)
-CALL_OPTIONS: Final = read_options(OneTimeOptions)
+SPACE_OPTIONS: Final = collect_options(SpaceOptions)
+CONFIG_OPTIONS: Final = collect_options(ExplorationOptions)
+CALL_OPTIONS: Final = collect_options(OneTimeOptions)
 SEARCH_SETTINGS: Final = {name for name, item in OPTIONS.items() if item.stored == "settings"}
 """Keys of those settings in a study that do not belong to the simulator."""
 
 
-def stored_values(meta: StudyMeta) -> dict[str, Any]:
+def read_stored_options(meta: StudyMeta) -> dict[str, Any]:
     """Return the options with which a study was explored, if they are stored; None for an option without a value."""
     fields_of_study = meta.to_json()
     values = {}
@@ -200,11 +200,11 @@ def stored_values(meta: StudyMeta) -> dict[str, Any]:
     return values
 
 
-def stored_search_settings(meta: StudyMeta) -> dict[str, Any]:
+def read_stored_search_options(meta: StudyMeta) -> dict[str, Any]:
     """Return the options of a study's search that `Problem` and `Study` do not hold, without default values."""
     return {
         name: value
-        for name, value in stored_values(meta).items()
+        for name, value in read_stored_options(meta).items()
         if OPTIONS[name].panel == _SEARCH
         and OPTIONS[name].is_field_of_study
         and name not in _PROBLEM_SETTINGS

@@ -22,7 +22,7 @@ from cornercase._common.typing import FloatArray
 from cornercase.exploration._best_scores import BestScores
 from cornercase.exploration._config import ExplorationConfig
 from cornercase.exploration._constant_metrics import MIN_SCENARIOS_TO_COMPARE, describe_constant_metrics
-from cornercase.exploration._proposals import AskTell, ProposalSource, warn_of_repetitions
+from cornercase.exploration._proposals import AskTell, ProposalSource, warn_of_repeated_proposals
 from cornercase.exploration._runner import ScenarioRunner, StageTimer
 from cornercase.exploration._stop_criteria import StopCriteria
 from cornercase.exploration._study_critical_set import source_study_model
@@ -198,7 +198,7 @@ class ScenarioExplorer:
                 bar.stop()
             self._clock.save_times()
             self._runner.notices.issue_warnings()
-            warn_of_repetitions(self._study, self._optimizer, n_stored)
+            warn_of_repeated_proposals(self._study, self._optimizer, n_stored)
         return ExplorationResult.from_study(self._study, reason, n_done_before=before)
 
     def _run_until_stop(self, bar: ProgressBar | None, check_interrupt: Callable[[], None]) -> str:

@@ -110,7 +110,7 @@ class ProbabilityEstimator:
         """Store the result, and the importance weights of the scenarios."""
         stage_name = "whole" if self._is_exhaustive else "estimate"
         rows = [row for stage, members, _ in self._finished_rounds if stage == stage_name for row in members]
-        points, _ = self._outcomes_of_stages(stage_name)
+        points, _ = self._collect_points_and_outcomes(stage_name)
         if rows:
             ids = np.array([row.id for row in rows])
             weights = (
@@ -188,7 +188,7 @@ class ProbabilityEstimator:
             # The time series of a metric alone does not show contact; recordings are checked below.
             scores_by_metric = [self._study.scenario_scores(row.id) for row in done]
             raw_scores = [[values[metric.name] for metric in self._objective.metrics] for values in scores_by_metric]
-            scores[is_done] = self._objective.minimized(np.array(raw_scores))
+            scores[is_done] = self._objective.compute_scores_to_minimize(np.array(raw_scores))
         ego, others = self._config.ego, self._config.others
         with self._clock("measure"):
             for k, row in zip(np.flatnonzero(is_done).tolist(), done, strict=True):
@@ -198,7 +198,7 @@ class ProbabilityEstimator:
                 encounter[k] = min(gaps) <= self._encounter_gap
         return EventOutcomes(scores, self._objective.critical_mask(scores), collision, encounter)
 
-    def _outcomes_of_stages(self, *stages: str) -> tuple[FloatArray, EventOutcomes]:
+    def _collect_points_and_outcomes(self, *stages: str) -> tuple[FloatArray, EventOutcomes]:
         """Return the points and outcomes of all rounds in the given stages.
 
         The stages are "law" (drawn from the distributions of the parameters), "learn", "estimate", and "whole" (all
@@ -212,7 +212,7 @@ class ProbabilityEstimator:
 
     def _estimate_probability(self, event: Callable[[EventOutcomes], BoolArray]) -> Probability:
         """Estimate the probability of an event, for which `event` returns a bool for each scenario."""
-        points, outcomes = self._outcomes_of_stages("whole" if self._is_exhaustive else "estimate")
+        points, outcomes = self._collect_points_and_outcomes("whole" if self._is_exhaustive else "estimate")
         if self._is_exhaustive:
             first_indices = self._first_occurrences([row for _, rows, _ in self._finished_rounds for row in rows])
             other_share = (
@@ -225,7 +225,7 @@ class ProbabilityEstimator:
             )
         if not len(points) or not event(outcomes).any():
             # Only the draws from the space's own distribution give a bound.
-            _, outcomes = self._outcomes_of_stages("law")
+            _, outcomes = self._collect_points_and_outcomes("law")
             return probability_from_direct_draws(event(outcomes))
         return probability_from_weights(
             self._sampling.importance_weights(points), event(outcomes), self._sampling.common_weight_error
@@ -233,11 +233,11 @@ class ProbabilityEstimator:
 
     def _make_estimation(self, interrupted: bool) -> Estimation:
         """Create the result from the scenarios so far."""
-        _, law = self._outcomes_of_stages("whole" if self._is_exhaustive else "law")
-        _, all_outcomes = self._outcomes_of_stages("law", "learn", "estimate", "whole")
+        _, law = self._collect_points_and_outcomes("whole" if self._is_exhaustive else "law")
+        _, all_outcomes = self._collect_points_and_outcomes("law", "learn", "estimate", "whole")
         # Plain draws count for the estimate, even those of the first round.
-        _, learned = self._outcomes_of_stages(*(() if self._sampling.is_plain else ("law", "learn")))
-        _, uncounted = self._outcomes_of_stages("learn")
+        _, learned = self._collect_points_and_outcomes(*(() if self._sampling.is_plain else ("law", "learn")))
+        _, uncounted = self._collect_points_and_outcomes("learn")
         n_counting = len(all_outcomes.scores) - len(uncounted.scores)
         critical = self._estimate_probability(lambda outcomes: outcomes.is_critical)
         collision = self._estimate_probability(lambda outcomes: outcomes.has_collision)
@@ -258,7 +258,7 @@ class ProbabilityEstimator:
         ]  # fmt: skip
         if self._sampling.is_plain:
             warnings.insert(0, _NO_DIRECTION)
-        if note := _describe_uniform(self._study.meta.space):
+        if note := _explain_uniform_probabilities(self._study.meta.space):
             warnings.insert(0, note)
         if failed := int(all_outcomes.is_failed.sum()):
             warnings.append(f"{failed} scenarios failed and count as neither critical nor a collision.")
@@ -289,7 +289,7 @@ _NO_DIRECTION: Final = (
 )
 
 
-def _describe_uniform(space: ParameterSpace) -> str:
+def _explain_uniform_probabilities(space: ParameterSpace) -> str:
     """Describe what probabilities mean if no parameter has a distribution; empty if a parameter has one."""
     if any(parameter.distribution is not None for parameter in space.parameters):
         return ""

@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-from cornercase._common.errors import InputError, short_errors
+from cornercase._common.errors import InputError, hide_input_error_traceback
 from cornercase._common.text.notebook_html import render_html
 from cornercase._common.unknown_names import Function
 from cornercase._common.unknown_names import suggest_arguments as suggest_names
 from cornercase._common.validation import repr_short
-from cornercase.exploration._config import ExplorationConfig, metrics_to_continue, read_logical_scenario
+from cornercase.exploration._config import ExplorationConfig, read_logical_scenario, read_study_metrics
 from cornercase.exploration._constant_metrics import warn_about_threshold
 from cornercase.metrics import Expression, Metric
 from cornercase.scenario import LogicalScenario
@@ -101,7 +101,7 @@ class Problem:
             )
         if isinstance(self.condition, Expression):
             object.__setattr__(self, "condition", _condition_text(self.condition))
-        with name_arguments_of_objects():
+        with rename_arguments_in_errors():
             config = config_from_problem(self)
             config.require_entities()
             warn_about_threshold(config.make_objective(), "threshold")
@@ -155,7 +155,7 @@ def problem_from_study(study: StudyFile, scenario: Path | None) -> Problem:
         read_logical_scenario(study, scenario),
         meta.ego,
         meta.other,
-        metrics_to_continue(meta),
+        read_study_metrics(meta),
         None if meta.condition else meta.critical,
         meta.condition or None,
         meta.weights,
@@ -178,8 +178,8 @@ def config_from_problem(problem: Problem, **settings: Any) -> ExplorationConfig:
     )
 
 
-class name_arguments_of_objects(short_errors):  # noqa: N801
-    """Context manager that shortens errors like `short_errors`, and replaces names of arguments in their messages.
+class rename_arguments_in_errors(hide_input_error_traceback):  # noqa: N801
+    """Context manager that hides tracebacks of input errors, and replaces names of arguments in their messages.
 
     Options of `explore` get the names that `Problem` and `Study` use: `` `threshold` `` instead of `` `critical` ``.
     """

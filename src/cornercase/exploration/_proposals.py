@@ -118,7 +118,7 @@ class ProposalSource:
         return space.snap(np.array(points).reshape(-1, space.dimension))
 
 
-def warn_of_repetitions(study: StudyFile, optimizer: Optimizer, n_before: int) -> None:
+def warn_of_repeated_proposals(study: StudyFile, optimizer: Optimizer, n_before: int) -> None:
     """Warn if an optimizer of the user's own class proposed scenarios that had been run already.
 
     Only repetitions after the first `n_before` scenarios of the study count.

@@ -137,7 +137,7 @@ def repair(
         need = _MEMORY_FACTOR * size
         limit.check_fits(need, f"the contents of a study of {format_size(size)}", "give more")
         report_memory_need("The contents of the study", need)
-        with atomic_write(file) as temporary, _reword_file_name(temporary, file):
+        with atomic_write(file) as temporary, _hide_temporary_name_in_errors(temporary, file):
             temporary.unlink()
             remains = rebuild_study(file, temporary)
             lost = list(remains.lost)
@@ -172,7 +172,7 @@ def _reword_file_errors(file: Path) -> Iterator[None]:
 
 
 @contextmanager
-def _reword_file_name(temporary: Path, file: Path) -> Iterator[None]:
+def _hide_temporary_name_in_errors(temporary: Path, file: Path) -> Iterator[None]:
     """Replace the name of the temporary file in errors by the name of the user's file."""
     try:
         yield

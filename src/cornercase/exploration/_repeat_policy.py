@@ -13,12 +13,12 @@ from cornercase.exploration._config import ExplorationConfig
 from cornercase.metrics._measure import MetricResult, evaluate_metrics
 from cornercase.recordings import Recording
 from cornercase.study import ScenarioRecord
+from cornercase.study._critical_run_rates import is_criticality_undecided
 from cornercase.study._objective import Objective
-from cornercase.study._run_rates import is_criticality_undecided
 
 
 @dataclass(eq=False)
-class RepeatedRun:
+class RepeatedScenario:
     """A scenario and its runs so far.
 
     `n_requested` is the number of runs to do next, 0 for none. `n_done` is the number of runs done, including failed
@@ -44,11 +44,11 @@ class RepeatPolicy:
     def __init__(self, config: ExplorationConfig, objective: Objective) -> None:
         self._config, self._objective = config, objective
 
-    def start_scenario(self, row: ScenarioRecord) -> RepeatedRun:
+    def start_scenario(self, row: ScenarioRecord) -> RepeatedScenario:
         """Create the record of a scenario that has not been run; its first `repeats` runs are requested."""
-        return RepeatedRun(row, self._config.repeats)
+        return RepeatedScenario(row, self._config.repeats)
 
-    def record_outcomes(self, repeated_run: RepeatedRun, outcomes: Sequence[Recording | SimulationError]) -> None:
+    def record_outcomes(self, repeated_run: RepeatedScenario, outcomes: Sequence[Recording | SimulationError]) -> None:
         """Measure finished runs, and set how many more are needed."""
         config = self._config
         for outcome in outcomes:
@@ -63,16 +63,16 @@ class RepeatPolicy:
         repeated_run.n_done += len(outcomes)
         repeated_run.n_requested = self._count_further_runs(repeated_run)
 
-    def minimized_scores(self, repeated_run: RepeatedRun) -> FloatArray:
+    def minimized_scores(self, repeated_run: RepeatedScenario) -> FloatArray:
         """Return the scores of n successful runs; lower scores are more critical.
 
         The shape is (n,), or (n, k) for a Pareto front of k metrics.
         """
-        return self._objective.minimized(
+        return self._objective.compute_scores_to_minimize(
             np.array([[result.score for result in run.values()] for _, run in repeated_run.runs])
         )
 
-    def _count_further_runs(self, repeated_run: RepeatedRun) -> int:
+    def _count_further_runs(self, repeated_run: RepeatedScenario) -> int:
         limit, criterion = self._config.max_repeats, self._objective.criterion
         if limit is None or criterion is None or not repeated_run.runs:
             return 0

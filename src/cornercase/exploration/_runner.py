@@ -12,9 +12,9 @@ import numpy as np
 
 from cornercase._common.errors import InputError, PluginError, SimulationError
 from cornercase._common.typing import FloatArray
-from cornercase.exploration._condition_references import PendingCondition, ReferenceRuns
 from cornercase.exploration._config import ExplorationConfig
-from cornercase.exploration._repeat_policy import RepeatedRun, RepeatPolicy
+from cornercase.exploration._reference_driver_runs import PendingCondition, ReferenceRuns
+from cornercase.exploration._repeat_policy import RepeatedScenario, RepeatPolicy
 from cornercase.exploration._repeatability import check_repeatability
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario
@@ -92,10 +92,10 @@ class ScenarioRunner:
             return
         waiting, remaining = list[PendingCondition](), deque(self.start_scenario(row) for row in rows)
         while remaining:
-            unfinished = deque[RepeatedRun]()
+            unfinished = deque[RepeatedScenario]()
             for scenario, outcomes in self._run_batch(remaining):
                 result = self.record_outcomes(scenario, outcomes)
-                if isinstance(result, RepeatedRun):
+                if isinstance(result, RepeatedScenario):
                     unfinished.append(result)
                 elif isinstance(result, PendingCondition):
                     waiting.append(result)
@@ -121,10 +121,10 @@ class ScenarioRunner:
         )
         with self._clock("simulate"):
             self._repeatability_checked = check_repeatability(
-                self._study, self._run_again, advice if self._config.repeats == 1 else "", self._is_random
+                self._study, self._run_again, advice if self._config.repeats == 1 else "", self._has_random_sensors
             )
 
-    def _is_random(self) -> bool:
+    def _has_random_sensors(self) -> bool:
         logical = self._config.logical
         files = [] if logical.file is None else [logical.file]
         return bool(find_random_sensors(self._simulator, files, logical.space.names))
@@ -135,8 +135,8 @@ class ScenarioRunner:
             yield from self.simulate(self._simulator, [self._make_concrete(row, run)])
 
     def _run_batch(
-        self, scenarios: deque[RepeatedRun]
-    ) -> Iterator[tuple[RepeatedRun, list[Recording | SimulationError]]]:
+        self, scenarios: deque[RepeatedScenario]
+    ) -> Iterator[tuple[RepeatedScenario, list[Recording | SimulationError]]]:
         """Do all requested runs of the scenarios in one batch; yield each scenario with the outcomes of its runs.
 
         The scenarios are removed from the deque.
@@ -154,11 +154,11 @@ class ScenarioRunner:
         for _ in results:
             pass
 
-    def start_scenario(self, row: ScenarioRecord) -> RepeatedRun:
+    def start_scenario(self, row: ScenarioRecord) -> RepeatedScenario:
         """Create the record of a scenario that has not been run; its first runs are requested."""
         return self._repeat_policy.start_scenario(row)
 
-    def requested_concrete_scenarios(self, repeated_run: RepeatedRun) -> list[ConcreteScenario]:
+    def requested_concrete_scenarios(self, repeated_run: RepeatedScenario) -> list[ConcreteScenario]:
         """Return one concrete scenario for each requested run; they differ in their seeds only."""
         runs = range(repeated_run.n_done, repeated_run.n_done + repeated_run.n_requested)
         return [self._make_concrete(repeated_run.row, run) for run in runs]
@@ -166,11 +166,11 @@ class ScenarioRunner:
     def _make_concrete(self, row: ScenarioRecord, run: int) -> ConcreteScenario:
         return self._config.concrete_scenario(row.values, seed_of_run(self._config.seed, run))
 
-    def record_outcomes(self, repeated_run: RepeatedRun, outcomes: Sequence[Recording | SimulationError]) -> Any:
+    def record_outcomes(self, repeated_run: RepeatedScenario, outcomes: Sequence[Recording | SimulationError]) -> Any:
         """Measure finished runs, and store the scenario if it needs no further run.
 
         Returns the score (an array for a Pareto front; lower is more critical), or None if the scenario failed. Returns
-        a `RepeatedRun` if further runs are needed, or a `PendingCondition` if runs with reference drivers are needed.
+        a `RepeatedScenario` if further runs are needed, or a `PendingCondition` if reference drivers have to run.
         """
         row = repeated_run.row
         with self._clock("measure"):
@@ -214,7 +214,7 @@ class ScenarioRunner:
                 courses,
                 references=pending_condition.reference_outcomes,
             )
-        return self._objective.minimized(np.array([[result.score for result in courses.values()]]))[0]
+        return self._objective.compute_scores_to_minimize(np.array([[result.score for result in courses.values()]]))[0]
 
     def _record_failure(self, row: ScenarioRecord, error: SimulationError) -> None:
         self._study.writer.record_failure(row.id, error)

@@ -8,7 +8,7 @@ from typing import Any, Final
 from cornercase._common.errors import InputError
 from cornercase._common.option import document_options
 from cornercase._common.unknown_names import suggest_arguments
-from cornercase._common.validation import not_an_object
+from cornercase._common.validation import not_an_object_error
 from cornercase.exploration._explore_options import CONFIG_OPTIONS
 from cornercase.simulators._run_options import RUN_OPTIONS, RunOptions
 
@@ -60,7 +60,7 @@ def run_settings(runs: Runs | None) -> dict[str, Any]:
     if runs is None:
         return {}
     if not isinstance(runs, Runs):
-        raise not_an_object("runs", runs, "give them as in Runs(workers=4)")
+        raise not_an_object_error("runs", runs, "give them as in Runs(workers=4)")
     return {name: value for name, value in vars(runs).items() if value != getattr(Runs, name)}
 
 

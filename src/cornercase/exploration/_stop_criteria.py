@@ -11,7 +11,7 @@ from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray
 from cornercase.evidence._critical_set_estimate import CriticalSet
 from cornercase.evidence._multi_fidelity import SourceStudyModel
-from cornercase.exploration._study_critical_set import is_judged_with_features, is_score_independent
+from cornercase.exploration._study_critical_set import is_score_independent, uses_features_for_critical_set
 from cornercase.metrics import registered_features
 from cornercase.scenario import ParameterSpace
 from cornercase.stop._stop_rules import StopCriterion
@@ -91,7 +91,7 @@ class StopCriteria:
             return None
         return " and ".join(rule.describe_value(value) for rule, value in values)
 
-    def check_again(self) -> None:
+    def request_check(self) -> None:
         """Make the next call of `describe_if_all_reached` check the criteria, whatever the number of scenarios.
 
         A search that had ended by its criteria then ends again at once, if they still hold.
@@ -116,7 +116,7 @@ class StopCriteria:
         if not self._criteria or self._criterion is None or len(self._scores) < _MIN_SCENARIOS:
             return None
         features = None
-        if self._features and is_judged_with_features(self._optimizer, int(np.isfinite(self._scores).sum())):
+        if self._features and uses_features_for_critical_set(self._optimizer, int(np.isfinite(self._scores).sum())):
             features = registered_features(), np.concatenate(self._features)
         try:
             critical_set = CriticalSet(

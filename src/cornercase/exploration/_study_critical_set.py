@@ -9,7 +9,7 @@ from cornercase._common.row_keys import row_keys
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.evidence._critical_set_estimate import CriticalSet
 from cornercase.evidence._multi_fidelity import SourceStudyModel
-from cornercase.evidence.gp._process import encode_points
+from cornercase.evidence.gp._gaussian_process import encode_points
 from cornercase.metrics import registered_features
 from cornercase.optimizers import OPTIMIZERS, Grid, Random, Sobol
 from cornercase.scenario import ParameterSpace
@@ -50,7 +50,7 @@ def is_score_independent(optimizer: str, space: ParameterSpace, seed: int, point
     return np.array([key in initial_design for key in keys], dtype=np.bool_)
 
 
-def is_judged_with_features(optimizer: str, n_scenarios: int) -> bool:
+def uses_features_for_critical_set(optimizer: str, n_scenarios: int) -> bool:
     """Return whether the critical set of a study is estimated with features of recordings.
 
     True for up to 2,000 finished scenarios (`n_scenarios`), and for optimizers that use features.
@@ -97,7 +97,7 @@ def estimate_critical_set(study: StudyFile, *, last_id: int | None = None, seed:
         meta.optimizer, study.space, meta.seed, np.array([row.point for row in rows])
     )
     features, finished = None, [row.id for row in rows if row.state == "done"]
-    if is_judged_with_features(meta.optimizer, n_finished):
+    if uses_features_for_critical_set(meta.optimizer, n_finished):
         features = registered_features(), study.features(finished)
     return CriticalSet(
         study.space,

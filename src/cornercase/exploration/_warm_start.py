@@ -128,4 +128,4 @@ def _minimized_scores(
             results = evaluate_metrics([metric for _, metric in missing], study.recording(row.id), ego, others)
             for k, metric in missing:
                 scores[i, k] = results[metric.name].score
-    return objective.minimized(scores)
+    return objective.compute_scores_to_minimize(scores)

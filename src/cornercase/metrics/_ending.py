@@ -3,7 +3,7 @@
 Import this module inside the functions that need it, since it loads compiled code.
 """
 
-from cornercase.metrics.ending._ego_features import measure_all_features as measure_all_features
+from cornercase.metrics.ending._ego_features import measure_features_per_outcome as measure_features_per_outcome
 from cornercase.metrics.ending._find_outcome import describe_outcome as describe_outcome
 from cornercase.metrics.ending._find_outcome import find_outcome as find_outcome
 from cornercase.metrics.ending._find_outcome import find_outcomes as find_outcomes

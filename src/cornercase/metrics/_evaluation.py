@@ -22,8 +22,8 @@ from cornercase.metrics.expressions._ast import (
     has_temporal_operator,
     iter_leaves,
 )
+from cornercase.metrics.expressions._leaf_evaluation import LeafValues, evaluate_leaf
 from cornercase.metrics.expressions._recorded_signals import Signals, signals_from_recording
-from cornercase.metrics.expressions._statements import LeafValues, evaluate_leaf
 from cornercase.metrics.expressions._temporal import always, until
 from cornercase.recordings import Collision, Recording
 
@@ -64,18 +64,18 @@ class Evaluation:
 
         `assumed` is the robustness of statements whose truth the run does not show.
         """
-        return _Evaluator(self, "margin", assumed).of_run(self.root)
+        return _Evaluator(self, "margin", assumed).evaluate_from_each_instant(self.root)
 
     def robustness_at_instants(self) -> FloatArray:
         """Return the robustness at each instant by itself, shape (T,): nothing has to hold for the rest of the run."""
-        return _Evaluator(self, "margin", np.inf).at_instants(self.root, in_time=True)
+        return _Evaluator(self, "margin", np.inf).evaluate_at_instants(self.root, in_time=True)
 
     def holds(self, assumed: float = np.inf) -> BoolArray:
         """Return whether the expression holds from each instant on, shape (T,).
 
         Unlike robustness, this distinguishes ``<`` from ``<=``. `assumed` is as in `robustness`.
         """
-        return _Evaluator(self, "truth", assumed).of_run(self.root) > 0.0
+        return _Evaluator(self, "truth", assumed).evaluate_from_each_instant(self.root) > 0.0
 
     def is_fulfilled(self) -> bool | None:
         """Return whether the expression holds from the first instant on; None if the run does not show this."""
@@ -85,7 +85,7 @@ class Evaluation:
             return None
         return True if self.holds(-np.inf)[0] else None
 
-    def shown_robustness(self) -> FloatArray:
+    def robustness_if_known(self) -> FloatArray:
         """Return the robustness from each instant on, shape (T,); all NaN if the run does not show the verdict.
 
         The verdict (whether the expression holds from the first instant on) is not shown if only unknown parts could
@@ -164,7 +164,9 @@ def evaluate_run(
     if len(named) > 1 and courses is not None:
         courses = {name: course for name, course in courses.items() if METRICS.create(name).ego_only}
     others = present_others(recording, named)
-    depends_on_other = any(isinstance(leaf, Bound) and not _is_of_run(leaf) for leaf in iter_leaves(root))
+    depends_on_other = any(
+        isinstance(leaf, Bound) and not _is_same_against_all_others(leaf) for leaf in iter_leaves(root)
+    )
     evaluations: dict[str, Evaluation] = {}
     shared: dict[Leaf, LeafValues] = {}
     known_faults = dict(faults)
@@ -174,11 +176,11 @@ def evaluate_run(
         signals = signals_from_recording(recording, ego, partner, courses, others)
         evaluation = Evaluation.from_signals(root, replace(signals, references=references, faults=known_faults), shared)
         evaluations[other_name] = evaluation
-        shared = {leaf: values for leaf, values in evaluation.leaves.items() if _is_of_run(leaf)}
+        shared = {leaf: values for leaf, values in evaluation.leaves.items() if _is_same_against_all_others(leaf)}
     return evaluations
 
 
-def _is_of_run(leaf: Leaf) -> bool:
+def _is_same_against_all_others(leaf: Leaf) -> bool:
     """Return whether a bound or statement has the same value against each other entity."""
     return not isinstance(leaf, Bound) or all(signal.is_score for signal in leaf.signals)
 
@@ -193,18 +195,18 @@ class _Evaluator:
         }
         self.assumed = assumed
 
-    def of_run(self, node: Node) -> FloatArray:
+    def evaluate_from_each_instant(self, node: Node) -> FloatArray:
         """Return the value of an expression from each instant on, shape (T,).
 
         An expression without temporal operators has to hold until the end.
         """
         if has_temporal_operator(node):
             if isinstance(node, Operation) and node.operator == "and":
-                return np.asarray(np.minimum.reduce(list(map(self.of_run, node.operands))))
-            return self.at_instants(node)
-        return always(self.at_instants(node), None, self.time)
+                return np.asarray(np.minimum.reduce(list(map(self.evaluate_from_each_instant, node.operands))))
+            return self.evaluate_at_instants(node)
+        return always(self.evaluate_at_instants(node), None, self.time)
 
-    def at_instants(
+    def evaluate_at_instants(
         self, node: Node, negated: bool = False, undefined_value: float = np.inf, in_time: bool = False
     ) -> FloatArray:
         """Return the value of a part of the expression, or of its negation, at each instant, shape (T,).
@@ -218,13 +220,13 @@ class _Evaluator:
             return self._until_values(node, negated)
         if node.operator in ("always", "eventually"):
             sign = 1.0 if (node.operator == "always") != negated else -1.0
-            inner = self.at_instants(node.operands[0], negated, sign * np.inf, in_time=True)
+            inner = self.evaluate_at_instants(node.operands[0], negated, sign * np.inf, in_time=True)
             return sign * always(sign * inner, node.interval, self.time)
         values = [
-            self.at_instants(operand, is_negated, undefined_value, in_time)
-            for operand, is_negated in zip(node.operands, _operand_signs(node, negated), strict=True)
+            self.evaluate_at_instants(operand, is_negated, undefined_value, in_time)
+            for operand, is_negated in zip(node.operands, _are_operands_negated(node, negated), strict=True)
         ]
-        return np.asarray(_combination(node, negated).reduce(values))
+        return np.asarray(_choose_combining_function(node, negated).reduce(values))
 
     def _leaf_values(self, leaf: Leaf, negated: bool, undefined_value: float, in_time: bool) -> FloatArray:
         values, is_known = self.values[leaf], self.leaves[leaf].is_known
@@ -241,19 +243,19 @@ class _Evaluator:
     def _until_values(self, node: Operation, negated: bool) -> FloatArray:
         neutral, sign = (-np.inf, -1.0) if negated else (np.inf, 1.0)
         left, right = (
-            sign * self.at_instants(operand, negated, default, in_time=True)
+            sign * self.evaluate_at_instants(operand, negated, default, in_time=True)
             for operand, default in zip(node.operands, (neutral, -neutral), strict=True)
         )
         return sign * until(left, right, node.interval, self.time)
 
 
-def _operand_signs(node: Operation, negated: bool) -> list[bool]:
+def _are_operands_negated(node: Operation, negated: bool) -> list[bool]:
     """Return for each operand of a logical operator whether the operand is negated."""
     if node.operator in ("->", "unless"):
         return [not negated, negated]
     return [negated != (node.operator in ("not", "no"))] * len(node.operands)
 
 
-def _combination(node: Operation, negated: bool) -> np.ufunc:
+def _choose_combining_function(node: Operation, negated: bool) -> np.ufunc:
     """Return the function that combines the operands: minimum if all of them have to hold, else maximum."""
     return np.minimum if (node.operator == "and") != negated else np.maximum

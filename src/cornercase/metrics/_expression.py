@@ -212,6 +212,6 @@ def _cap_of_leaf(leaf: Leaf) -> float:
     return abs(METRICS.create(leaf.left.metric).cap - leaf.right)
 
 
-def formula_text(expression: Expression) -> str:
+def format_as_formula(expression: Expression) -> str:
     """Return the text of an expression as a formula, in which a bound on a score is written ``score(ttc) < 1``."""
     return format_node(expression.root)

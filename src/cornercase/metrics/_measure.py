@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple, NoReturn
 
 import numpy as np
 
-from cornercase._common.errors import InputError, PluginError, short_errors
+from cornercase._common.errors import InputError, PluginError, hide_input_error_traceback
 from cornercase._common.plugin_errors import is_built_in, make_scenario_failure, user_code_error
 from cornercase._common.process.signals import count_requests
 from cornercase._common.typing import FloatArray
@@ -108,7 +108,7 @@ class Measurement:
         return "\n".join("  ".join(map(str.ljust, row, widths)).rstrip() for row in rows)
 
 
-@short_errors()
+@hide_input_error_traceback()
 def measure(
     recording: Recording | Path | str,
     ego: str,

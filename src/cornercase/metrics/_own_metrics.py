@@ -13,7 +13,7 @@ from cornercase._common.errors import InputError
 from cornercase._common.plugin_errors import is_built_in
 from cornercase._common.text.sanitize import escape_control_characters
 from cornercase._common.typing import FloatArray
-from cornercase._common.validation import not_an_object, repr_short
+from cornercase._common.validation import not_an_object_error, repr_short
 from cornercase.metrics._base import Metric
 from cornercase.metrics._registry import METRICS
 from cornercase.recordings import Recording
@@ -39,9 +39,9 @@ class StoredMetric(Metric):
 
     def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
         """Raise `InputError`, since computing a course needs the class of the metric."""
-        raise self.missing_code()
+        raise self.make_missing_class_error()
 
-    def missing_code(self) -> InputError:
+    def make_missing_class_error(self) -> InputError:
         """Return the error that asks for the metric as an object, since scenarios cannot be run without its class."""
         class_name = escape_control_characters(str(self.description.get("class", "unknown")))[:100]
         return InputError(
@@ -72,16 +72,16 @@ def resolve_metric(metric: object, parameter: str = "metrics") -> Metric:
     """
     resolved = METRICS.create(metric) if isinstance(metric, str) and metric else metric
     if not isinstance(resolved, Metric):
-        raise not_an_object(parameter, metric, _HINT)
+        raise not_an_object_error(parameter, metric, _HINT)
     if not is_built_in(resolved):
         _check_attributes(resolved)
-        METRICS.check_own_name(resolved)
+        METRICS.check_name_not_taken(resolved)
         if not isinstance(resolved, StoredMetric):
             require_storable_options(resolved)
     return resolved
 
 
-def as_items(metrics: Any) -> tuple[Any, ...]:
+def as_metric_tuple(metrics: Any) -> tuple[Any, ...]:
     """Return the metrics in an argument that is one metric or an iterable of metrics, as a tuple."""
     is_several = isinstance(metrics, Iterable) and not isinstance(metrics, str | bytes | Mapping)
     return tuple(metrics) if is_several else (metrics,)
@@ -93,7 +93,7 @@ def resolve_metrics(metrics: object, parameter: str = "metrics") -> list[Metric]
     Raises `InputError` if a metric cannot be used, or if two different metrics have the same name.
     """
     by_name: dict[str, Metric] = {}
-    for item in as_items(metrics):
+    for item in as_metric_tuple(metrics):
         metric = resolve_metric(item, parameter)
         if by_name.setdefault(metric.name, metric) != metric:
             raise InputError(f"`{parameter}`: two different metrics have the name '{metric.name}'; rename one of them.")

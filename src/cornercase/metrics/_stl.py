@@ -77,7 +77,7 @@ class Stl(Metric):
 
     def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
         signals = signals_from_recording(recording, ego, other)
-        return Evaluation.from_signals(self.formula.root, signals).shown_robustness()
+        return Evaluation.from_signals(self.formula.root, signals).robustness_if_known()
 
     def score(self, course: FloatArray) -> float:
         return float(self.clip_course(course[:1])[0])

@@ -4,7 +4,7 @@ Import this module inside the functions that need it, since it loads compiled co
 """
 
 from cornercase.metrics.timeline._earlier_braking import EARLIER as EARLIER
-from cornercase.metrics.timeline._earlier_braking import CollisionReply as CollisionReply
-from cornercase.metrics.timeline._earlier_braking import find_reply as find_reply
+from cornercase.metrics.timeline._earlier_braking import EgoReaction as EgoReaction
+from cornercase.metrics.timeline._earlier_braking import find_ego_reaction as find_ego_reaction
 from cornercase.metrics.timeline._find_events import EncounterEvents as EncounterEvents
 from cornercase.metrics.timeline._find_events import find_events as find_events

@@ -13,7 +13,7 @@ from cornercase.evidence._committee import CommitteeModel
 from cornercase.optimizers._candidates import MIN_NEW_SCENARIOS
 from cornercase.optimizers._committee_search import (
     Committee,
-    choose_distant,
+    choose_by_gain_and_distance,
     committee_acquisition,
     coordinate_scales,
 )
@@ -25,7 +25,7 @@ _MAX_FAILURE_PROBABILITY: Final = 0.25  # greatest probability of failure if the
 _CONDITIONING_STEP: Final = 5  # the models are conditioned on new scenarios after this number
 
 
-class _ProposalModel(CommitteeModel):
+class _AnyMemberModel(CommitteeModel):
     """Committee of classifiers that may use a single classifier if this predicts the outcomes better."""
 
     may_be_alone: ClassVar[bool] = True
@@ -91,7 +91,7 @@ class Auto(Committee):
     name = "auto"
     relearn_growth = 0.5
     _near_fraction = 0.75
-    _model_class = _ProposalModel
+    _model_class = _AnyMemberModel
 
     def __init__(self, candidates: int = 3072, filling: float = 0.2) -> None:
         super().__init__(candidates, filling)
@@ -116,7 +116,7 @@ class Auto(Committee):
             latest = min(latest, math.ceil(first_both / MIN_NEW_SCENARIOS) * MIN_NEW_SCENARIOS)
         return latest if np.ptp(self._scores[:latest][finished[:latest]]) > 0.0 else number
 
-    def _condition_on_fives(self) -> None:
+    def _condition_at_multiples_of_five(self) -> None:
         """Condition the committee on further scenarios whenever their number reaches a multiple of five."""
         count = len(self._points) // _CONDITIONING_STEP * _CONDITIONING_STEP
         if count > self._n_conditioned:
@@ -132,8 +132,8 @@ class Auto(Committee):
         candidates = self._deduplicator.filter_snapped(candidates, filling)
         if len(candidates) <= n or n == 0:
             return np.concatenate([below, candidates[:n]])
-        self._condition_on_fives()
-        choose = self._choose_by_process if self._committee.is_process_alone else self._choose_by_committee
+        self._condition_at_multiples_of_five()
+        choose = self._choose_by_gaussian_process if self._committee.is_process_alone else self._choose_by_committee
         return np.concatenate([below, candidates[choose(candidates, filling, n)]])
 
     def _points_below_local_minima(self, candidates: FloatArray, n: int) -> FloatArray:
@@ -150,7 +150,7 @@ class Auto(Committee):
         )
         return self._deduplicator.filter_snapped(candidates[below])
 
-    def _choose_by_process(self, candidates: FloatArray, filling: FloatArray, n: int) -> IntArray:
+    def _choose_by_gaussian_process(self, candidates: FloatArray, filling: FloatArray, n: int) -> IntArray:
         """Choose `n` candidates by the straddle heuristic, among candidates that are unlikely to fail."""
         fails = self._failure_probability(self._encode(candidates))
         likeliest = np.argsort(fails, kind="stable")
@@ -171,4 +171,4 @@ class Auto(Committee):
         sides = coordinate_scales(self._committee.process, x.shape[1])
         sampled = self._encode(np.concatenate([self._points, filling]))
         distance = np.asarray(cKDTree(sampled * sides).query(x * sides)[0])
-        return choose_distant(x * sides, gain, distance, n)
+        return choose_by_gain_and_distance(x * sides, gain, distance, n)

@@ -13,8 +13,8 @@ from scipy.spatial.distance import pdist
 from cornercase._common.numba.blas import single_threaded_blas
 from cornercase._common.typing import FloatArray
 from cornercase._common.validation import check_float, check_int
-from cornercase.evidence.gp._kernel import evenly_spaced_indices
-from cornercase.evidence.gp._process import encode_points
+from cornercase.evidence.gp._gaussian_process import encode_points
+from cornercase.evidence.gp._matern_kernel import evenly_spaced_indices
 from cornercase.optimizers._candidates import CandidateOptimizer
 from cornercase.optimizers._random_features import RandomFeatureProcess
 
@@ -80,7 +80,7 @@ class Bayes(CandidateOptimizer):
 
     def _choose_points(self, points: FloatArray, scores: FloatArray, filling: FloatArray, n: int) -> FloatArray:
         # Thompson sampling: each point is the best of its part of the candidates, by its own sample of the process.
-        candidates = self._new_candidates(max(self._count * n // (n + self._n_pending), n), filling)
+        candidates = self._draw_round_candidates(max(self._count * n // (n + self._n_pending), n), filling)
         if len(candidates) <= n:
             return candidates
         # Consecutive points of a Sobol' sequence fill the space; every n-th point need not.
@@ -90,7 +90,7 @@ class Bayes(CandidateOptimizer):
                 self._process_coordinates(points), self._standardized_negative_scores(scores)
             )
             if self._n_pending:
-                process = process.with_own_mean_at(self._process_coordinates(filling[: self._n_pending]))
+                process = process.conditioned_on_own_mean(self._process_coordinates(filling[: self._n_pending]))
             samples = process.draw_weights(n, np.random.default_rng(self._round_seed))
             return np.array(
                 [

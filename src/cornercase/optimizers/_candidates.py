@@ -115,7 +115,7 @@ class CandidateOptimizer(Optimizer):
     def _count_space_filling(self, n_points: int) -> int:
         return math.floor(self._filling * n_points + 1e-9)
 
-    def _new_candidates(self, count: int, filling: FloatArray) -> FloatArray:
+    def _draw_round_candidates(self, count: int, filling: FloatArray) -> FloatArray:
         """Draw candidates for this round, shape (m, d), neither observed nor in `filling`, shape (f, d)."""
         return self._draw_candidates(self._round_seed, count, np.concatenate([self._points, filling]))
 

@@ -11,11 +11,11 @@ from scipy.spatial import cKDTree
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase._common.validation import check_float, check_int
 from cornercase.evidence._committee import CommitteeModel
-from cornercase.evidence._multi_fidelity import augment_points
-from cornercase.evidence.gp._process import GaussianProcess, encode_points
+from cornercase.evidence._multi_fidelity import append_source_prediction
+from cornercase.evidence.gp._gaussian_process import GaussianProcess, encode_points
 from cornercase.metrics import Feature
 from cornercase.optimizers._dedupe import Deduplicator
-from cornercase.optimizers._warm_start import WarmStartOptimizer
+from cornercase.optimizers._warm_start_optimizer import WarmStartOptimizer
 from cornercase.scenario import ParameterSpace
 from cornercase.study._criterion import Criterion
 
@@ -25,7 +25,7 @@ _MIN_SIDE: Final = 0.1  # least scale of a coordinate that the score depends on 
 _MAX_DEVIATION: Final = 0.06  # greatest deviation of candidates from critical scenarios
 
 
-class _ThoroughModel(CommitteeModel):
+class _LargeCommitteeModel(CommitteeModel):
     """Committee of classifiers that learns from more scenarios, with more trees, than `CommitteeModel`."""
 
     max_process_scenarios: ClassVar[int] = 512
@@ -84,7 +84,7 @@ class Committee(WarmStartOptimizer):
     _near_fraction: ClassVar[float] = 0.85
     """Fraction of the candidates near critical scenarios."""
 
-    _model_class: ClassVar[type[CommitteeModel]] = _ThoroughModel
+    _model_class: ClassVar[type[CommitteeModel]] = _LargeCommitteeModel
 
     def __init__(self, candidates: int = 4096, filling: float = 0.15) -> None:
         self._count = check_int("candidates", candidates, 1)
@@ -132,7 +132,7 @@ class Committee(WarmStartOptimizer):
         if len(points):
             self._condition_committee()
         x = encode_points(self._space, candidates)
-        probabilities = self._committee.predict(augment_points(self._source_model, x))
+        probabilities = self._committee.predict(append_source_prediction(self._source_model, x))
         gain = committee_acquisition(*probabilities) * (1.0 - self._failure_probability(x))
         sampled = np.concatenate([self._points, filling])
         sides = coordinate_scales(self._committee.process, x.shape[1])
@@ -166,7 +166,7 @@ class Committee(WarmStartOptimizer):
         # Varying deviations, since the size of the critical region is unknown.
         deviations = _MAX_DEVIATION * rng.random((near, 1)) ** 2
         moved = np.clip(centers + deviations * rng.normal(size=centers.shape), 0.0, 1.0)
-        everywhere = self._new_candidates(max(self._count - near, n), filling)
+        everywhere = self._draw_round_candidates(max(self._count - near, n), filling)
         return np.concatenate([everywhere, self._deduplicator.filter(moved, np.concatenate([everywhere, filling]))])
 
     def _failure_probability(self, encoded_points: FloatArray) -> FloatArray:
@@ -221,10 +221,10 @@ def _choose_spread_out(
     # Points this far apart do not differ along short sides: use the longest sides, as many as maximize the spacing.
     longest = np.sort(sides)[::-1]
     spacing = ((np.cumprod(longest) / len(sampled)) ** (1.0 / np.arange(1, len(sides) + 1))).max()
-    return choose_distant(points, gain, np.minimum(cKDTree(sampled).query(points)[0], spacing), n)
+    return choose_by_gain_and_distance(points, gain, np.minimum(cKDTree(sampled).query(points)[0], spacing), n)
 
 
-def choose_distant(points: FloatArray, gain: FloatArray, distance: FloatArray, n: int) -> IntArray:
+def choose_by_gain_and_distance(points: FloatArray, gain: FloatArray, distance: FloatArray, n: int) -> IntArray:
     """Choose `n` of the points (m, e), one after the other, by the largest product of gain (m,) and distance (m,).
 
     `distance` is the distance to the nearest known point. Each chosen point becomes a known point.

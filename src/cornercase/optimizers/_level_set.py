@@ -10,7 +10,7 @@ from scipy.special import ndtr
 
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase._common.validation import check_float, check_int
-from cornercase.evidence.gp._process import (
+from cornercase.evidence.gp._gaussian_process import (
     GaussianProcess,
     encode_points,
     fit_boundary_process,
@@ -19,7 +19,7 @@ from cornercase.evidence.gp._process import (
 from cornercase.optimizers._dedupe import Deduplicator
 from cornercase.optimizers._local_minima import indices_below_local_minima
 from cornercase.optimizers._straddle import choose_by_straddle, straddle_gains
-from cornercase.optimizers._warm_start import WarmStartOptimizer
+from cornercase.optimizers._warm_start_optimizer import WarmStartOptimizer
 from cornercase.scenario import ParameterSpace
 from cornercase.study._criterion import Criterion
 
@@ -112,7 +112,7 @@ class LevelSet(WarmStartOptimizer):
         probability = ndtr(-mean / np.hypot(deviation, self._process.kernel.noise))
         self._filling = min(
             self._min_filling
-            * float(np.interp(_uncertain_fraction(probability), _UNCERTAIN_FRACTIONS, _FILLING_FACTORS)),
+            * float(np.interp(_estimate_misclassified_fraction(probability), _UNCERTAIN_FRACTIONS, _FILLING_FACTORS)),
             1.0,
         )
         best = np.argsort(-straddle_gains(mean, deviation), kind="stable")
@@ -159,7 +159,7 @@ class LevelSet(WarmStartOptimizer):
         """
         candidates = self._deduplicator.filter_snapped(self._candidates, exclude=filling)
         if len(candidates) < n:
-            candidates = self._new_candidates(max(n, min(self._count, _N_BEST)), filling)
+            candidates = self._draw_round_candidates(max(n, min(self._count, _N_BEST)), filling)
         if len(candidates) <= n:
             return candidates
         process = self._process
@@ -173,7 +173,7 @@ class LevelSet(WarmStartOptimizer):
         ]
 
 
-def _uncertain_fraction(probabilities: FloatArray) -> float:
+def _estimate_misclassified_fraction(probabilities: FloatArray) -> float:
     """Return the volume that the process expects to misclassify, as a fraction of the critical volume.
 
     `probabilities` are the predicted probabilities of being critical.

@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from cornercase._common.errors import InputError, suggest_name
-from cornercase._common.extras import describe_install
+from cornercase._common.optional_packages import describe_install
 from cornercase._common.typing import FloatArray
 from cornercase._common.validation import repr_short
 from cornercase.optimizers._base import Optimizer

@@ -48,7 +48,7 @@ class RandomFeatureProcess:
         gram, moment = self._gram + rows.T @ rows, self._moment + rows.T @ (values - self._mean)
         return RandomFeatureProcess(*self._map, self._mean, self._noise, gram, moment)
 
-    def with_own_mean_at(self, points: FloatArray) -> RandomFeatureProcess:
+    def conditioned_on_own_mean(self, points: FloatArray) -> RandomFeatureProcess:
         """Return the process conditioned on its own mean at points, shape (n, d).
 
         The mean stays the same, and the variance shrinks.

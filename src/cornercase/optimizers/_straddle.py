@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cornercase._common.typing import FloatArray, IntArray
-from cornercase.evidence.gp._process import GaussianProcess
+from cornercase.evidence.gp._gaussian_process import GaussianProcess
 
 _N_FIRST_TRIED: Final = 512  # candidates with the largest gain that are tried first
 

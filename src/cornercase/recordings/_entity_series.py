@@ -16,18 +16,18 @@ def position_series(recording: Recording, entity: str, fallback_entity: str | No
     center = recording.box_center(entity)
     if fallback_entity is not None and not np.isfinite(center).all(axis=1).any():
         return position_series(recording, fallback_entity)
-    return _fill_missing(center)
+    return _fill_missing_instants(center)
 
 
 def speed_series(recording: Recording, entity: str) -> FloatArray:
     """Return the speed of an entity in m/s at T instants, shape (T, 1)."""
-    return _fill_missing(recording.speed[recording.entity_index(entity)][:, None])
+    return _fill_missing_instants(recording.speed[recording.entity_index(entity)][:, None])
 
 
 def relative_position_series(recording: Recording, ego: str, other: str) -> FloatArray:
     """Return the position of the other entity in the ego's coordinate frame in m at T instants, shape (T, 2)."""
     x, y = (position_series(recording, other, ego) - position_series(recording, ego)).T
-    heading = _fill_missing(recording.heading[recording.entity_index(ego)][:, None])[:, 0]
+    heading = _fill_missing_instants(recording.heading[recording.entity_index(ego)][:, None])[:, 0]
     cos, sin = np.cos(heading), np.sin(heading)
     return np.column_stack((cos * x + sin * y, cos * y - sin * x))
 
@@ -42,7 +42,7 @@ def bearing_series(recording: Recording, ego: str, other: str) -> FloatArray:
     return np.divide(relative, distance, out=np.zeros_like(relative), where=distance > 0.0)
 
 
-def _fill_missing(values: FloatArray) -> FloatArray:
+def _fill_missing_instants(values: FloatArray) -> FloatArray:
     """Fill instants at which an entity does not exist with its last earlier values, or with its first values."""
     exists = np.isfinite(values).all(axis=1)
     if exists.all():

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from cornercase._common.errors import InputError
-from cornercase._common.extras import describe_install
+from cornercase._common.optional_packages import describe_install
 
 # By vehicle category: its name in OSI's VehicleClassification, and a usual height in m: recordings have no heights.
 _VEHICLE_TYPES: Final = {

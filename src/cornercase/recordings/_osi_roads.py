@@ -72,7 +72,7 @@ def _add_lane(
     classification.type = classification.Type.Value(f"TYPE_{kind}")
     classification.subtype = classification.Subtype.Value(f"SUBTYPE_{subtype}")
     classification.centerline_is_driving_direction = True
-    x, y = _thin_line(road, s, road.lane_center(section, lane, s))
+    x, y = _drop_needless_samples(road, s, road.lane_center(section, lane, s))
     for px, py in zip(*((x, y) if is_along else (x[::-1], y[::-1])), strict=True):
         point = classification.centerline.add()
         point.x, point.y, point.z = px, py, 0.0
@@ -105,7 +105,7 @@ def _add_boundary(truth: Any, number: int, road: Road, s: FloatArray, t: FloatAr
     boundary.id.value = number
     kinds = boundary.classification.Type
     boundary.classification.type = kinds.Value("TYPE_ROAD_EDGE" if is_edge else "TYPE_UNKNOWN")
-    for px, py in zip(*_thin_line(road, s, t), strict=True):
+    for px, py in zip(*_drop_needless_samples(road, s, t), strict=True):
         point = boundary.boundary_line.add()
         point.position.x, point.position.y, point.position.z = px, py, 0.0
 
@@ -115,7 +115,7 @@ def _sample_section(road: Road, section: int) -> FloatArray:
     return np.linspace(start, end, max(2, int(np.ceil((end - start) / _SAMPLING)) + 1))
 
 
-def _thin_line(road: Road, s: FloatArray, t: FloatArray) -> tuple[list[float], list[float]]:
+def _drop_needless_samples(road: Road, s: FloatArray, t: FloatArray) -> tuple[list[float], list[float]]:
     """Return x and y in m of those samples (s, t) of a line along a road that the shape of the line needs."""
     x, y, _ = road.pose_at(s, t)
     turns = np.abs(np.diff(np.unwrap(np.arctan2(np.diff(y), np.diff(x)))))

@@ -57,13 +57,13 @@ def read_recording(path: Path | str) -> Recording:
     if path.suffix.lower() == ".log":
         return read_carla_log(path)
     if path.suffix.lower() == ".xml":
-        return read_sumo_fcd(path) if _starts_with_words(path, "<fcd-export") else read_commonroad(path)
-    if _starts_with_words(path, ESMINI_LOG_START):
+        return read_sumo_fcd(path) if _has_text_near_start(path, "<fcd-export") else read_commonroad(path)
+    if _has_text_near_start(path, ESMINI_LOG_START):
         return read_esmini_log(path)
     return read_recording_csv(path)
 
 
-def _starts_with_words(path: Path, words: str) -> bool:
+def _has_text_near_start(path: Path, words: str) -> bool:
     """Return whether a text occurs near the beginning of a file."""
     try:
         with open(path, encoding="utf-8", errors="replace") as file:

@@ -2,12 +2,12 @@ from ._cluster_shapes import ArchetypeMethod as ArchetypeMethod
 from ._cluster_shapes import ClusterShape as ClusterShape
 from ._coverage import Coverage as Coverage
 from ._critical_coverage import CriticalCoverage as CriticalCoverage
-from ._held_out_coverage import HeldOut as HeldOut
-from ._held_out_coverage import HeldOutCritical as HeldOutCritical
+from ._held_out_coverage import HeldOutCoverage as HeldOutCoverage
+from ._held_out_coverage import HeldOutCriticalCoverage as HeldOutCriticalCoverage
 from ._kill_matrix import KillMatrix as KillMatrix
 from ._kill_matrix import MutantSelection as MutantSelection
 from ._kill_matrix import MutationScore as MutationScore
 from ._reduce import reduce as reduce
 from ._reduced_set import ReducedSet as ReducedSet
 from ._reduced_set import SelectedScenario as SelectedScenario
-from ._set_manifest import read_reduction as read_reduction
+from ._reduced_set_manifest import read_reduction as read_reduction

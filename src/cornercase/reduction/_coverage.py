@@ -11,7 +11,7 @@ import numpy.typing as npt
 from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.clustering._embedding import Distances, EmbeddedDistances
-from cornercase.reduction._held_out_coverage import HeldOut, summarize_distances
+from cornercase.reduction._held_out_coverage import HeldOutCoverage, summarize_distances
 from cornercase.reduction._medoids import find_k_medoids
 from cornercase.reduction._random_selections import (
     DEFAULT_DRAWS,
@@ -47,7 +47,7 @@ class Coverage:
     medoids_largest, medoids_mean : float
         Largest and mean distance for k-medoids of the same number, which minimise the mean. Like `better_largest` and
         `better_mean`, they are NaN in a study that an early version reduced.
-    held_out : HeldOut or None, default None
+    held_out : HeldOutCoverage or None, default None
         Cross-validated distances; None if not measured.
 
     Examples
@@ -71,7 +71,7 @@ class Coverage:
     better_mean: float
     medoids_largest: float
     medoids_mean: float
-    held_out: HeldOut | None = None
+    held_out: HeldOutCoverage | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from cornercase._common.numba.kernel import kernel
 from cornercase._common.typing import FloatArray, IntArray
-from cornercase.clustering._cells import CELL_SIZE, MARGIN, fill_squares_to_centers, measure_cell_or_give_up
+from cornercase.clustering._cells import CELL_SIZE, MARGIN, fill_squares_to_centers, fill_squares_to_members
 
 MAX_KNOWN_TERMS = 192
 """Largest number of stored terms of a scenario's gain; with more terms, the cells are searched again."""
@@ -90,7 +90,7 @@ def add_to_selection(index, cells):
         point = cells.coordinates[k, index]
         fill_squares_to_centers(point, cells.centers[k], to_centers)
         for cell in range(len(to_centers)):
-            if to_centers[cell] <= cells.reach[k, cell] and measure_cell_or_give_up(
+            if to_centers[cell] <= cells.reach[k, cell] and fill_squares_to_members(
                 point, cells.members[k, cell], cells.nearest_squares[k, cell], to_members
             ):
                 squares, costs = cells.nearest_squares[k, cell], cells.costs[k, cell]
@@ -111,7 +111,7 @@ def _gain_of(index, cells, to_centers, to_members):
         point = cells.coordinates[k, index]
         fill_squares_to_centers(point, cells.centers[k], to_centers)
         for cell in range(len(to_centers)):
-            if to_centers[cell] <= cells.reach[k, cell] and measure_cell_or_give_up(
+            if to_centers[cell] <= cells.reach[k, cell] and fill_squares_to_members(
                 point, cells.members[k, cell], cells.nearest_squares[k, cell], to_members
             ):
                 squares, costs, weights = cells.nearest_squares[k, cell], cells.costs[k, cell], cells.weights[k, cell]

@@ -10,7 +10,7 @@ import numpy as np
 
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.clustering._embedding import Distances, EmbeddedDistances
-from cornercase.reduction._coverage_cells import CellCoverageSums
+from cornercase.reduction._cell_greedy_search import CellGreedySearch
 from cornercase.reduction._selection_state import SIMILAR_SHARE, Selection
 
 MAX_IN_MEMORY: Final = 2000
@@ -57,7 +57,7 @@ class CoverageSums:
         self._weights = np.where(is_critical, composition.critical_weight, 1.0)
         self._power = composition.power
         self._distances = distances
-        self._usual_distances = [_usual_neighbour_distance(matrix, n_neighbours) for matrix in distances]
+        self._usual_distances = [_mean_neighbour_distance(matrix, n_neighbours) for matrix in distances]
         self._clustering_weights = [composition.first_weight if k == 0 else 1.0 for k in range(len(distances))]
         self._is_embedded = isinstance(distances[0], EmbeddedDistances)
         # All costs take as much memory as all distances.
@@ -107,23 +107,23 @@ class CoverageSums:
                 gains[first : first + block] += costs.sum(axis=1)
         return gains
 
-    def search_greedily(self, selected: Sequence[int]) -> CellCoverageSums | RowCoverageSums:
+    def start_greedy_search(self, selected: Sequence[int]) -> CellGreedySearch | RowGreedySearch:
         """Return a search object that finds one by one the scenarios that lower the coverage sum most.
 
         `selected` are the indices of the scenarios selected so far.
         """
         if self._is_embedded and self._all_costs is None:
             return self._make_cell_sums(selected)
-        return RowCoverageSums(self, selected)
+        return RowGreedySearch(self, selected)
 
-    def _make_cell_sums(self, selected: Sequence[int]) -> CellCoverageSums:
+    def _make_cell_sums(self, selected: Sequence[int]) -> CellGreedySearch:
         heavy = [self._weights * weight for weight in self._clustering_weights]
         embeddings = [
             embedding.coordinates for embedding in self._distances if isinstance(embedding, EmbeddedDistances)
         ]
-        return CellCoverageSums(embeddings, self._usual_distances, heavy, self._power, selected)
+        return CellGreedySearch(embeddings, self._usual_distances, heavy, self._power, selected)
 
-    def exchange(self, selected: list[int], n_fixed: int, selection: Selection) -> list[int]:
+    def exchange_selected(self, selected: list[int], n_fixed: int, selection: Selection) -> list[int]:
         """Exchange selected scenarios for others if this lowers the coverage sum; return all selected scenarios.
 
         The first `n_fixed` scenarios stay.
@@ -147,8 +147,8 @@ class CoverageSums:
         return selected
 
 
-class RowCoverageSums:
-    """Lazy greedy search on rows of a matrix of costs; it has the methods of `CellCoverageSums`."""
+class RowGreedySearch:
+    """Lazy greedy search on rows of a matrix of costs; it has the methods of `CellGreedySearch`."""
 
     def __init__(self, sums: CoverageSums, selected: Sequence[int]) -> None:
         self._sums = sums
@@ -172,7 +172,7 @@ class RowCoverageSums:
         ]
 
 
-def _usual_neighbour_distance(distances: Distances, n_neighbours: int) -> float:
+def _mean_neighbour_distance(distances: Distances, n_neighbours: int) -> float:
     """Return the mean distance of scenarios to the neighbour of rank `n_neighbours`; 1 if the mean is 0."""
     n = len(distances)
     # A slice of a matrix is not a copy.
@@ -180,7 +180,7 @@ def _usual_neighbour_distance(distances: Distances, n_neighbours: int) -> float:
     if isinstance(distances, EmbeddedDistances) and n > _NEIGHBOUR_SAMPLE:
         sample = np.linspace(0, n - 1, _NEIGHBOUR_SAMPLE).astype(np.int64)
         if n_neighbours <= _MAX_SEARCHED:
-            return float(distances.distances_to_neighbour(sample, n_neighbours).mean()) or 1.0
+            return float(distances.distances_to_nth_neighbour(sample, n_neighbours).mean()) or 1.0
         blocks = [sample[first : first + BLOCK_SIZE] for first in range(0, _NEIGHBOUR_SAMPLE, BLOCK_SIZE)]
     neighbour_distances = [np.partition(distances[block], n_neighbours, axis=1)[:, n_neighbours] for block in blocks]
     return float(np.concatenate(neighbour_distances).mean()) or 1.0

@@ -14,9 +14,13 @@ from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.clustering._embedding import Distances, EmbeddedDistances
 from cornercase.evidence import Estimate
 from cornercase.evidence._critical_set_estimate import CriticalSet
-from cornercase.evidence.gp._process import encode_points
+from cornercase.evidence.gp._gaussian_process import encode_points
 from cornercase.reduction._coverage import NearestDistances
-from cornercase.reduction._held_out_coverage import HeldOutCritical, HeldOutDistances, summarize_held_out_critical
+from cornercase.reduction._held_out_coverage import (
+    HeldOutCriticalCoverage,
+    HeldOutDistances,
+    summarize_held_out_critical,
+)
 from cornercase.scenario import ParameterSpace
 from cornercase.study._criterion import Criterion
 
@@ -51,7 +55,7 @@ class CriticalCoverage:
     unlike : Estimate or None
         Probability that a critical scenario drawn at random from the space is similar to no selected scenario; None if
         there are too few critical scenarios.
-    held_out : HeldOutCritical or None, default None
+    held_out : HeldOutCriticalCoverage or None, default None
         Cross-validated shares; None if not measured.
 
     Examples
@@ -73,7 +77,7 @@ class CriticalCoverage:
     medoids_largest: float | None
     medoids_mean: float | None
     unlike: Estimate | None
-    held_out: HeldOutCritical | None = None
+    held_out: HeldOutCriticalCoverage | None = None
 
 
 def measure_critical_coverage(
@@ -115,7 +119,9 @@ def measure_critical_coverage(
         if len(index) > _MAX_DISTANCES:
             # At random: evenly spaced ones of a Sobol' sequence or a grid may all lie in a part of the space.
             index = np.sort(np.random.default_rng(seed).choice(index, _MAX_DISTANCES, replace=False))
-        unlike = all_critical.fraction_inside(all_critical.of_other_scores(points[index], -distance[index], is_unlike))
+        unlike = all_critical.fraction_inside(
+            all_critical.estimate_for_other_scores(points[index], -distance[index], is_unlike)
+        )
     return CriticalCoverage(
         within=similar_distance,
         critical=float((distance[critical] <= similar_distance).mean()) if any_critical else None,

@@ -62,7 +62,7 @@ def load_study_data(study: StudyFile) -> StudyData:
     return StudyData(study, rows, scores, analyses, {name: read_distances(study, name) for name in analyses})
 
 
-def measure_folds(data: StudyData, folds: Sequence[Fold]) -> dict[str, HeldOutDistances | None]:
+def measure_held_out_by_aspect(data: StudyData, folds: Sequence[Fold]) -> dict[str, HeldOutDistances | None]:
     """Measure, for each aspect, the distances of held-out scenarios to the set selected without them.
 
     Each fold of the cross-validation holds out other scenarios. Folds contain ids of scenarios.
@@ -93,9 +93,9 @@ def evaluate_coverage(
 ) -> dict[str, Coverage]:
     """Measure, for each aspect, how well the selected scenarios represent all scenarios.
 
-    `selected` are ids. `held_out` is the result of `measure_folds`. Given `nearest_distances`, the distances to the
-    selected scenarios are not computed again. An aspect (what scenarios are compared by) is left out if no selected
-    scenario was analysed by it.
+    `selected` are ids. `held_out` comes from `measure_held_out_by_aspect`. `nearest_distances` are distances to the
+    selected scenarios that are known, so that they are not computed again. An aspect (what scenarios are compared by)
+    is left out if no selected scenario was analysed by it.
     """
     coverage = {}
     for name, analysis in data.analyses.items():
@@ -166,7 +166,7 @@ def evaluate_critical_coverage(
     return coverage
 
 
-def reevaluate(study: StudyFile, reduced: ReducedSet) -> ReducedSet:
+def evaluate_with_study_threshold(study: StudyFile, reduced: ReducedSet) -> ReducedSet:
     """Evaluate a reduced set again if its threshold differs from the threshold of the opened study.
 
     Values for held-out scenarios are dropped, since they belong to selections with the other threshold.

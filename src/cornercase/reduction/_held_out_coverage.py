@@ -44,7 +44,7 @@ class Fold:
 
 
 @dataclass(frozen=True)
-class HeldOut:
+class HeldOutCoverage:
     """Cross-validated distances from held-out scenarios to the nearest scenario of a set selected without them.
 
     Attributes
@@ -81,7 +81,7 @@ class HeldOut:
 
 
 @dataclass(frozen=True)
-class HeldOutCritical:
+class HeldOutCriticalCoverage:
     """Cross-validated shares of held-out critical scenarios that are similar to a selected scenario.
 
     Attributes
@@ -160,7 +160,7 @@ def measure_held_out_distances(all_distances: Distances, all_folds: Sequence[Fol
 
 
 def summarize_distances(to_selected: FloatArray, to_medoids: FloatArray, to_random: FloatArray) -> dict[str, float]:
-    """Summarize distances to the nearest selected scenario by the figures that `HeldOut` and `Coverage` share.
+    """Summarize distances to the nearest selected scenario by the figures that `HeldOutCoverage` and `Coverage` share.
 
     The distances have shape (m,), (m,) and (draws, m).
     """
@@ -177,11 +177,11 @@ def summarize_distances(to_selected: FloatArray, to_medoids: FloatArray, to_rand
     }
 
 
-def summarize_held_out(held_out_distances: HeldOutDistances | None) -> HeldOut | None:
+def summarize_held_out(held_out_distances: HeldOutDistances | None) -> HeldOutCoverage | None:
     """Summarize the distances of held-out scenarios; None if there are none."""
     if held_out_distances is None:
         return None
-    return HeldOut(
+    return HeldOutCoverage(
         scenarios=len(held_out_distances.held_out),
         **summarize_distances(
             held_out_distances.to_selected, held_out_distances.to_medoids, held_out_distances.to_random
@@ -194,7 +194,7 @@ def summarize_held_out_critical(
     critical_mask: BoolArray,
     boundary_mask: BoolArray,
     similar_distance: float,
-) -> HeldOutCritical | None:
+) -> HeldOutCriticalCoverage | None:
     """Return the shares of critical held-out scenarios that are similar to a selected one; None if none are critical.
 
     Two scenarios are similar up to `similar_distance`. `critical_mask` and `boundary_mask`, shape (n,), mark the
@@ -203,7 +203,7 @@ def summarize_held_out_critical(
     if held_out_distances is None or not critical_mask[held_out_distances.held_out].any():
         return None
     is_critical, is_boundary = critical_mask[held_out_distances.held_out], boundary_mask[held_out_distances.held_out]
-    return HeldOutCritical(
+    return HeldOutCriticalCoverage(
         scenarios=int(is_critical.sum()),
         critical=float((held_out_distances.to_selected[is_critical] <= similar_distance).mean()),
         boundary=float((held_out_distances.to_selected[is_boundary] <= similar_distance).mean())

@@ -11,7 +11,7 @@ from typing import Final, Literal
 import numpy as np
 
 from cornercase._common.errors import InputError
-from cornercase._common.io.files import check_folder
+from cornercase._common.io.files import check_output_folder
 from cornercase._common.io.support_table import issue_notice_warning
 from cornercase._common.memory import DEFAULT_MEMORY, MemoryLimit
 from cornercase._common.progress import show_bars
@@ -20,8 +20,8 @@ from cornercase._common.unknown_names import suggest_arguments
 from cornercase._common.validation import check_float, check_int, check_str
 from cornercase.clustering import Analysis, read_analyses, read_analysis
 from cornercase.clustering._embedding import Distances
-from cornercase.clustering._headline import find_headline_aspect
-from cornercase.evidence._bands import BANDS_PREFIX, bands_by_scenario
+from cornercase.clustering._headline_aspect import find_headline_aspect
+from cornercase.evidence._criticality_bands import BANDS_PREFIX, bands_by_scenario
 from cornercase.reduction._cluster_shapes import ArchetypeMethod, require_archetype_method
 from cornercase.reduction._coverage import CoverageCurves
 from cornercase.reduction._critical_clusters import find_critical_clusters
@@ -31,7 +31,7 @@ from cornercase.reduction._evaluate import (
     evaluate_coverage,
     evaluate_critical_coverage,
     load_study_data,
-    measure_folds,
+    measure_held_out_by_aspect,
     measure_nearest_distances_by_aspect,
 )
 from cornercase.reduction._held_out_coverage import Fold
@@ -39,15 +39,15 @@ from cornercase.reduction._hulls import find_convex_hull
 from cornercase.reduction._kill_matrix import KillMatrix
 from cornercase.reduction._mutant_selection import add_mutant_selection
 from cornercase.reduction._reduced_set import ReducedSet, SelectedScenario
+from cornercase.reduction._reduced_set_folder import replace_reduced_set
+from cornercase.reduction._reduced_set_manifest import make_manifest, save_reduction
 from cornercase.reduction._selection_state import Selected
-from cornercase.reduction._set_folder import replace_set
-from cornercase.reduction._set_manifest import make_manifest, save_reduction
 from cornercase.reduction._write_files import add_scenario_files, name_concrete_file
 from cornercase.reduction.selection._per_cluster import SCENARIOS_PER_SELECTED
 from cornercase.reduction.selection._select import SelectionInput, SelectionRequest, cross_validate, select
 from cornercase.scenario._file import ScenarioFile
 from cornercase.study import StudyFile
-from cornercase.study._damage import reraise_as_damage
+from cornercase.study._damage import reraise_read_errors
 from cornercase.study._import_recordings import IMPORTED_SIMULATOR
 from cornercase.study._scenario_file import find_explored_scenario
 from cornercase.study._study_file import open_study
@@ -177,10 +177,10 @@ def reduce(
     require_archetype_method(check_str("archetypes_by", archetypes_by))
     check_similarity(check_float("within", within))
     by = None if by is None else check_str("by", by)
-    folder = check_folder("folder", folder)
+    folder = check_output_folder("folder", folder)
     limit = MemoryLimit.from_value(memory)
     with show_bars(progress), open_study(study, critical=critical) as opened:
-        analysis, band_names = _read_groups(opened, by or default_aspect(opened))
+        analysis, band_names = _read_clusters_or_bands(opened, by or default_aspect(opened))
         start = time.monotonic()
         # Checked before anything is written or takes time.
         explored = find_explored_scenario(opened, scenario, search_stored_path=True)
@@ -203,7 +203,7 @@ def reduce(
         request = SelectionRequest(size, cover, archetypes, archetypes_by)
         reduced, curves = _select_and_evaluate(data, analysis, selection_input, request, within)
         if band_names:
-            reduced = _name_bands(reduced, band_names)
+            reduced = _replace_clusters_by_bands(reduced, band_names)
         if kill_matrix is not None:
             without_mutants, _ = select(replace(selection_input, kills=None), request)
             reduced = add_mutant_selection(
@@ -234,7 +234,7 @@ def default_aspect(study: StudyFile) -> str:
     return headline
 
 
-def _read_groups(study: StudyFile, by: str) -> tuple[Analysis, list[str]]:
+def _read_clusters_or_bands(study: StudyFile, by: str) -> tuple[Analysis, list[str]]:
     """Read the groups of scenarios that are to be represented, and their names.
 
     By default the groups are the clusters by an aspect, without names. For ``bands:METRIC``, bands of criticality take
@@ -251,7 +251,7 @@ def _read_groups(study: StudyFile, by: str) -> tuple[Analysis, list[str]]:
     return replace(analysis, clustering=replace(analysis.clustering, labels=labels.astype(np.int64))), names
 
 
-def _name_bands(reduced: ReducedSet, names: Sequence[str]) -> ReducedSet:
+def _replace_clusters_by_bands(reduced: ReducedSet, names: Sequence[str]) -> ReducedSet:
     """Replace clusters by the names of bands of criticality in the reasons why scenarios are selected."""
     scenarios = tuple(
         replace(entry, why=entry.why.replace(f"{reduced.by} {entry.cluster}", f"the {names[entry.cluster]}"))
@@ -310,7 +310,7 @@ def _select_and_evaluate(
         Fold(*(analysis.ids[rows] for rows in (entry.training, entry.selected, entry.held_out)))
         for entry in cross_validate(selection_input, request)
     ]
-    held_out = measure_folds(data, folds)
+    held_out = measure_held_out_by_aspect(data, folds)
     gaps = measure_nearest_distances_by_aspect(data, selected_ids)
     reduced = ReducedSet(
         by=analysis.by,
@@ -340,7 +340,7 @@ def _make_selected_scenario(
     meta = data.study.meta
     # An imported recording is run again by its own simulator; the manifest names it.
     imported = meta.simulator == IMPORTED_SIMULATOR
-    with reraise_as_damage(data.study.path):
+    with reraise_read_errors(data.study.path):
         file = meta.files[scenario_id - 1] if imported else name_concrete_file(meta, scenario_id)
     return SelectedScenario(
         id=scenario_id,
@@ -375,7 +375,7 @@ def _write_files_and_store(
 
     If an error occurs, neither the folder nor the study changes.
     """
-    with replace_set(folder) as set_folder:
+    with replace_reduced_set(folder) as set_folder:
         if scenario is not None:
             add_scenario_files(set_folder, study, scenario, reduced_set.scenarios, folder)
         set_folder.write_manifest(make_manifest(study, reduced_set, cluster_names, set_folder.digests))

@@ -7,14 +7,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from cornercase._common.errors import InputError
-from cornercase._common.io.files import check_folder, portable_name
+from cornercase._common.io.files import check_output_folder, make_portable_file_name
 from cornercase.clustering import Analysis, read_analyses
-from cornercase.clustering._headline import find_headline_aspect
+from cornercase.clustering._headline_aspect import find_headline_aspect
 from cornercase.drivers._parameters import spec_with_values
 from cornercase.drivers._resolve import create_driver_named_in_file, may_be_named_in_file
 from cornercase.reduction._reduced_set import ReducedSet, SelectedScenario
-from cornercase.reduction._set_folder import SetFolder, replace_set
-from cornercase.reduction._set_manifest import make_manifest
+from cornercase.reduction._reduced_set_folder import ReducedSetFolder, replace_reduced_set
+from cornercase.reduction._reduced_set_manifest import make_manifest
 from cornercase.scenario import Value
 from cornercase.scenario._concrete_file import build_concrete_file, read_required_xml
 from cornercase.scenario._file import ScenarioFile
@@ -36,13 +36,13 @@ def write_chosen_scenarios(
     The folder is a suite, as `reduce` writes one. `InputError` if an id is unknown or was not run yet, if there is no
     scenario file, or if the folder cannot be written.
     """
-    folder = check_folder("folder", folder)
+    folder = check_output_folder("folder", folder)
     with open_study(study, readonly=True, critical=critical) as opened:
         if opened.meta.suite:
             raise InputError(
                 f"{opened.path}: is the run of a suite, whose scenarios are files already; copy these files instead."
             )
-        rows = _rows_of(opened, ids)
+        rows = _read_scenarios_by_id(opened, ids)
         explored = find_explored_scenario(opened, scenario, search_stored_path=True)
         if explored is None:
             raise InputError(
@@ -63,7 +63,7 @@ def write_chosen_scenarios(
             hulls={},
             threshold=opened.critical,
         )
-        with replace_set(folder) as set_folder:
+        with replace_reduced_set(folder) as set_folder:
             add_scenario_files(set_folder, opened, explored, chosen, folder)
             set_folder.write_manifest(make_manifest(opened, chosen_set, names, set_folder.digests))
             set_folder.replace()
@@ -72,11 +72,15 @@ def write_chosen_scenarios(
 
 def name_concrete_file(meta: StudyMeta, scenario_id: int) -> str:
     """Return the file name of a concrete scenario of a study."""
-    return f"{portable_name(meta.title)}-{scenario_id:05}.xosc"
+    return f"{make_portable_file_name(meta.title)}-{scenario_id:05}.xosc"
 
 
 def add_scenario_files(
-    set_folder: SetFolder, study: StudyFile, scenario: ScenarioFile, selected: Sequence[SelectedScenario], folder: Path
+    set_folder: ReducedSetFolder,
+    study: StudyFile,
+    scenario: ScenarioFile,
+    selected: Sequence[SelectedScenario],
+    folder: Path,
 ) -> None:
     """Add the files of selected scenarios to a new set in `folder`, with the roads and catalogs that they need."""
     chosen_drivers = study.meta.settings.get("drivers", {})
@@ -95,7 +99,7 @@ def add_scenario_files(
         set_folder.add(item.file, concrete.content)
 
 
-def _rows_of(study: StudyFile, ids: Iterable[int]) -> list[ScenarioRecord]:
+def _read_scenarios_by_id(study: StudyFile, ids: Iterable[int]) -> list[ScenarioRecord]:
     """Return the scenarios with these ids, in the order of their ids."""
     rows = {row.id: row for row in study.rows()}
     wanted = sorted(set(ids))

@@ -1,11 +1,11 @@
-from ._collision_replies import ReplyCounts as ReplyCounts
+from ._clustering_settings_page import write_clustering_settings_page as write_clustering_settings_page
+from ._collision_reactions import CollisionReactionCounts as CollisionReactionCounts
 from ._estimates import AuditEstimates as AuditEstimates
 from ._estimates import CriticalEstimates as CriticalEstimates
 from ._estimates import CriticalSetEstimates as CriticalSetEstimates
 from ._estimates import SpaceEstimates as SpaceEstimates
-from ._page import write_report as write_report
-from ._reference_counts import ReferenceCount as ReferenceCount
-from ._settings_page import write_settings_page as write_settings_page
+from ._reference_driver_results import ReferenceDriverResults as ReferenceDriverResults
+from ._report_page import write_report as write_report
 from ._summarize import summarize as summarize
 from ._summary import FailureSummary as FailureSummary
 from ._summary import MetricSummary as MetricSummary

@@ -14,7 +14,7 @@ from cornercase.report._report_data import ReportData
 from cornercase.study._objective import Objective
 
 
-def search_chart(data: ReportData) -> dict[str, Any]:
+def search_progress_chart(data: ReportData) -> dict[str, Any]:
     """Return the data of the chart that shows the progress of the search.
 
     At the end of each round: number of scenarios run, best score, number of critical scenarios. After some rounds: the
@@ -22,7 +22,9 @@ def search_chart(data: ReportData) -> dict[str, Any]:
     """
     meta = data.summary.meta
     objective = Objective.from_study_meta(meta)
-    oriented = objective.minimized(np.stack([data.scores[metric.name] for metric in objective.metrics], axis=1))
+    oriented = objective.compute_scores_to_minimize(
+        np.stack([data.scores[metric.name] for metric in objective.metrics], axis=1)
+    )
     searched = oriented[:, 0] if objective.pareto else oriented
     rounds = np.array([row.round for row in data.rows])
     # Scenarios are numbered in the order of their rounds.

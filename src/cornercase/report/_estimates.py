@@ -257,7 +257,7 @@ class SpaceEstimates:
 
 
 @dataclass(frozen=True)
-class MissedFractionAfter:
+class MissedFractionAfterRuns:
     """Estimated fraction of the critical set that none of the first `n_run` scenarios has found."""
 
     n_run: int
@@ -265,7 +265,7 @@ class MissedFractionAfter:
     interval_unavailable: str | None  # why there is no interval; None if there is an interval
 
 
-def estimate_missed_fractions(study: StudyFile, estimates: SpaceEstimates) -> Iterator[MissedFractionAfter]:
+def estimate_missed_fractions(study: StudyFile, estimates: SpaceEstimates) -> Iterator[MissedFractionAfterRuns]:
     """Estimate, after some rounds of a search, the fraction of the critical set that no scenario had found by then.
 
     The number of scenarios about doubles from one estimate to the next. The last estimate uses all scenarios, the
@@ -283,8 +283,8 @@ def estimate_missed_fractions(study: StudyFile, estimates: SpaceEstimates) -> It
     for size in sorted(size for size in nearest if _MIN_SCENARIOS <= size <= max_scenarios):
         with skip_if_not_enough_data():
             critical_set = estimate_critical_set(study, last_id=rows[size - 1].id)
-            yield MissedFractionAfter(size, critical_set.missed_fraction, critical_set.missed_interval_unavailable)
-    yield MissedFractionAfter(
+            yield MissedFractionAfterRuns(size, critical_set.missed_fraction, critical_set.missed_interval_unavailable)
+    yield MissedFractionAfterRuns(
         len(rows), critical.critical_set.missed_fraction, critical.critical_set.missed_interval_unavailable
     )
 

@@ -12,12 +12,12 @@ from typing import Any, Final
 from cornercase._common.errors import InputError, NoticeWarning
 from cornercase._common.io.files import MAX_FILE_SIZE
 from cornercase._common.text.sanitize import quote_name
-from cornercase.drivers._description import format_driver
-from cornercase.reduction._set_folder import MANIFEST
+from cornercase.drivers._serialization import format_driver
+from cornercase.reduction._reduced_set_folder import MANIFEST
 from cornercase.report._suite_gaps import describe_suite_gaps
 from cornercase.report.encode._page_recordings import encode_recordings
 from cornercase.scenario import Value
-from cornercase.scenario._locate import find_files_below
+from cornercase.scenario._scenario_search import find_files_below
 from cornercase.study import StudyFile
 from cornercase.suite._baseline import find_baseline_study
 from cornercase.suite._read_suite import read_suite
@@ -61,7 +61,7 @@ def read_expected_runs(study: StudyFile, against: Path | None = None) -> Expecte
     if against is None:
         if not meta.origin:
             return ExpectedRuns()
-        against, why = _find_source_study(study)
+        against, why = _find_study_behind_suite(study)
         if against is None:
             return ExpectedRuns(
                 missing=f"The expected runs are not shown beside these: {why}. Name the study that the suite was made"
@@ -91,7 +91,7 @@ def read_expected_runs(study: StudyFile, against: Path | None = None) -> Expecte
         )
 
 
-def _find_source_study(study: StudyFile) -> tuple[Path | None, str]:
+def _find_study_behind_suite(study: StudyFile) -> tuple[Path | None, str]:
     """Find the study that a suite was made from, given a run of the suite; return None and the reason if not found."""
     for manifest in _manifests(study):
         try:

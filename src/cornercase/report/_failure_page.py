@@ -7,7 +7,7 @@ from typing import Final
 from markupsafe import Markup
 
 from cornercase._common.text.sanitize import escape_control_characters
-from cornercase.report._commands import describe_retry
+from cornercase.report._repeat_command import describe_retry
 from cornercase.report._summary import Summary, summarize_with_collisions
 from cornercase.report.html._overview_sections import render_failure_reasons, render_provenance
 from cornercase.report.html._tables import render_table

@@ -13,8 +13,8 @@ from urllib.parse import quote
 from cornercase._common import validation
 from cornercase._common.errors import InputError
 from cornercase._common.text.sanitize import escape_control_characters
-from cornercase.drivers._description import format_driver
-from cornercase.report._page_digest import find_page_of_study
+from cornercase.drivers._serialization import format_driver
+from cornercase.report._page_metadata import find_page_of_study
 from cornercase.report._summary import entities_hit_by_ego
 from cornercase.report.html._templates import check_page_path, render_template, write_page
 from cornercase.report.text._phrases import format_criterion_with_signs, format_percent
@@ -90,11 +90,11 @@ def _read_row(study: StudyFile, folder: Path, page_folder: Path) -> Iterator[_Ce
     n_run = sum(row.state == "done" for row in rows)
     n_failed = sum(row.state == "failed" for row in rows)
     name = study.path.relative_to(folder).as_posix()
-    yield _text(name)
-    yield _text(meta.title)
+    yield _text_cell(name)
+    yield _text_cell(meta.title)
     driver = meta.ego_driver
-    yield _text(format_driver(driver) if driver else meta.ego)
-    yield _text(meta.simulator)
+    yield _text_cell(format_driver(driver) if driver else meta.ego)
+    yield _text_cell(meta.simulator)
     yield _Cell(f"{n_run}" + (f" ({n_failed} failed)" if n_failed else ""), n_run)
     others = frozenset(meta.others)
     hits = [not others.isdisjoint(entities_hit_by_ego(meta, hits)) for hits in study.collisions().values()]
@@ -106,21 +106,21 @@ def _read_row(study: StudyFile, folder: Path, page_folder: Path) -> Iterator[_Ce
         n_critical = int(study.critical_mask().sum())
         yield _Cell(str(n_critical), n_critical, title=format_criterion_with_signs(criterion, study.objective.label))
     page, share = find_page_of_study(study, n_run, n_failed)
-    yield _share(share)
+    yield _share_cell(share)
     reduction = study.read_reduction()
     n_selected = 0 if reduction is None else len(reduction["kept"])
     yield _Cell("–" if reduction is None else str(n_selected), -1 if reduction is None else n_selected)
     changed = datetime.fromtimestamp(study.path.stat().st_mtime, UTC)
     yield _Cell(changed.strftime("%Y-%m-%d"), changed.strftime("%Y-%m-%d %H:%M:%S"))
-    yield _Cell("–", "", title="cornercase report writes one") if page is None else _link(page, page_folder)
+    yield _Cell("–", "", title="cornercase report writes one") if page is None else _link_cell(page, page_folder)
 
 
-def _text(text: str) -> _Cell:
+def _text_cell(text: str) -> _Cell:
     clean = escape_control_characters(text)
     return _Cell(clean, clean.casefold())
 
 
-def _share(share: Sequence[float | None] | None) -> _Cell:
+def _share_cell(share: Sequence[float | None] | None) -> _Cell:
     value, low, high = (None, None, None) if share is None else share
     if value is None:
         return _Cell("–", -1, title="a report beside the study tells it")
@@ -128,11 +128,11 @@ def _share(share: Sequence[float | None] | None) -> _Cell:
     return _Cell(f"{format_percent(value)}{interval}", value)
 
 
-def _link(page: Path, page_folder: Path) -> _Cell:
+def _link_cell(page: Path, page_folder: Path) -> _Cell:
     try:
         address = Path(os.path.relpath(page.resolve(), page_folder)).as_posix()
     except ValueError:
         # There is no relative path to another drive.
-        return _text(page.name)
+        return _text_cell(page.name)
     # A colon in the first part would be taken for a scheme.
     return _Cell(escape_control_characters(page.name), page.name.casefold(), f"./{quote(address)}")

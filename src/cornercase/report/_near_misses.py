@@ -9,7 +9,7 @@ import numpy as np
 
 
 @dataclass(frozen=True)
-class NearMiss:
+class ClosestApproach:
     """Smallest gap in m between the boxes of the ego and another entity in a scenario, and its time in s."""
 
     entity: str
@@ -23,27 +23,29 @@ class NearMiss:
 
 def find_closest_approach(
     features: Sequence[Mapping[str, float]], others: Sequence[str], begin: float
-) -> NearMiss | None:
+) -> ClosestApproach | None:
     """Find the closest approach of the ego to any of the other entities; None if the ego approached none.
 
     `features` are the features of a recording, one mapping per other entity. An entity that is nearest at the first
     instant (time `begin`, in s) does not count: the scenario placed the entity there.
     """
     approaches = [
-        NearMiss(other, values["nearest"], values["nearest time"])
+        ClosestApproach(other, values["nearest"], values["nearest time"])
         for other, values in zip(others, features, strict=True)
         if values.get("nearest time", np.nan) > begin
     ]
     return min(approaches, key=lambda approach: approach.gap, default=None)
 
 
-def sort_near_misses(approaches: Mapping[int, NearMiss], colliding: Mapping[int, object]) -> list[tuple[int, NearMiss]]:
+def sort_near_misses(
+    approaches: Mapping[int, ClosestApproach], colliding: Mapping[int, object]
+) -> list[tuple[int, ClosestApproach]]:
     """Return id and closest approach of all scenarios without a collision, the smallest gap first."""
     misses = [(scenario, approach) for scenario, approach in approaches.items() if scenario not in colliding]
     return sorted(misses, key=lambda item: (item[1].gap, item[0]))
 
 
-def describe_near_misses(misses: Sequence[tuple[int, NearMiss]]) -> Iterator[str]:
+def describe_near_misses(misses: Sequence[tuple[int, ClosestApproach]]) -> Iterator[str]:
     """Yield a sentence for each near miss, given as id of the scenario and closest approach."""
     for scenario, approach in misses:
         yield f"Near miss in scenario {scenario}: {approach.describe()}."

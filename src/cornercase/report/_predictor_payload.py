@@ -55,7 +55,7 @@ def _encode_predictor(surrogate: ScoreSurrogate, objective: Objective) -> dict[s
         "signal": form.kernel.signal,
         "noise": form.kernel.noise,
         "length_scales": form.kernel.length_scales.tolist(),
-        "positions": [_unit_positions(parameter) for parameter in surrogate.space.parameters],
+        "positions": [_values_with_unit_positions(parameter) for parameter in surrogate.space.parameters],
         "constrained": _constrained_parameters(surrogate.space),
         "count": count,
         "points": _to_base64(form.points, "<f8"),
@@ -67,7 +67,7 @@ def _encode_predictor(surrogate: ScoreSurrogate, objective: Objective) -> dict[s
     }
 
 
-def _unit_positions(parameter: Parameter) -> list[list[float]] | None:
+def _values_with_unit_positions(parameter: Parameter) -> list[list[float]] | None:
     """Return values of a parameter and their positions in the unit interval; None for a parameter with choices."""
     if parameter.choices:
         return None

@@ -18,15 +18,15 @@ from cornercase.metrics import Metric
 from cornercase.metrics._outcome import Impact
 from cornercase.recordings import Recording
 from cornercase.reduction._coverage import CoverageCurves
-from cornercase.reduction._set_manifest import read_coverage_curves
-from cornercase.report._estimates import MissedFractionAfter, estimate_missed_fractions
-from cornercase.report._near_misses import NearMiss, find_closest_approach
+from cornercase.reduction._reduced_set_manifest import read_coverage_curves
+from cornercase.report._estimates import MissedFractionAfterRuns, estimate_missed_fractions
+from cornercase.report._near_misses import ClosestApproach, find_closest_approach
 from cornercase.report._road_drawing import add_road_margin
 from cornercase.report._summary import Summary, entities_hit_by_ego, summarize_with_collisions
 from cornercase.roads._outline import Region
 from cornercase.scenario import Parameter
 from cornercase.study import ScenarioRecord, StudyFile
-from cornercase.study._digest import COURSE_POINTS, DigestPart
+from cornercase.study._scenario_digest import COURSE_POINTS, DigestPart
 from cornercase.study._scenario_file import find_explored_scenario
 from cornercase.suite import Verdict
 from cornercase.suite._judge import judge_study, measure_margins
@@ -55,7 +55,7 @@ class ReportData:
     courses: Mapping[str, Mapping[int, Float32Array]]  # capped courses by metric and id, shape (T,); only for figures
     entities_hit: Mapping[int, frozenset[str]]  # entities that the ego collides with, by id
     impacts: Mapping[int, Sequence[Impact]]  # collisions of the ego, by id
-    approaches: Mapping[int, NearMiss]  # closest approach of the ego to one of the others, by id
+    approaches: Mapping[int, ClosestApproach]  # closest approach of the ego to one of the others, by id
     examples: Mapping[int, Recording]  # recordings of the clusters' examples, by id
     values: FloatArray  # parameters, shape (n, d); indices for choices
     influential_parameters: tuple[
@@ -67,7 +67,7 @@ class ReportData:
     margins: Mapping[int, Mapping[str, float]]  # by id and requirement, if it has a margin; negative if violated
     outcomes: Mapping[int, str]  # endings by id; empty before the study was analyzed
     notes: Mapping[int, str]  # user notes by id
-    missed_fractions: tuple[MissedFractionAfter, ...]  # empty if unknown
+    missed_fractions: tuple[MissedFractionAfterRuns, ...]  # empty if unknown
     fixed_parameters: Mapping[str, str]  # parameters of the scenario file that were not varied
     region: Region | None  # x_min, y_min, x_max, y_max around all motion, with a margin, in m
 
@@ -132,7 +132,7 @@ def read_report_data(
     courses: dict[str, dict[int, Float32Array]] = {metric.name: {} for metric in metrics}
     touched: dict[int, frozenset[str]] = {}
     impacts: dict[int, tuple[Impact, ...]] = {}
-    approaches: dict[int, NearMiss] = {}
+    approaches: dict[int, ClosestApproach] = {}
     region: Region | None = None
     parts: tuple[DigestPart, ...] = ("lines",) if charts else ()
     for count, (scenario, digest) in enumerate(study.iter_digests(parts)):
@@ -174,7 +174,7 @@ def read_report_data(
         approaches=approaches,
         examples=_read_examples(study, summary.analyses) if charts else {},
         values=values,
-        influential_parameters=order_by_influence(values, scores[metrics[0].name]),
+        influential_parameters=order_parameters_by_influence(values, scores[metrics[0].name]),
         is_critical=study.critical_mask(),
         coverage_curves={}
         if summary.reduced_set is None or not charts
@@ -228,7 +228,7 @@ def _read_examples(study: StudyFile, analyses: Mapping[str, Analysis]) -> dict[i
     }
 
 
-def order_by_influence(values: FloatArray, scores: FloatArray) -> tuple[int, ...]:
+def order_parameters_by_influence(values: FloatArray, scores: FloatArray) -> tuple[int, ...]:
     """Return the indices of the parameters, ordered by influence on the score, the most influential first.
 
     The two most influential parameters come in the order of the columns of `values`. Influence is the fraction of the

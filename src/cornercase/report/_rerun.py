@@ -11,11 +11,11 @@ from typing import Any, Final
 from lxml import etree
 
 from cornercase._common.errors import InputError
-from cornercase._common.io.files import portable_name
+from cornercase._common.io.files import make_portable_file_name
 from cornercase._common.text.sanitize import escape_control_characters
-from cornercase.drivers._description import driver_command_option
+from cornercase.drivers._serialization import driver_command_option
 from cornercase.reduction import read_reduction
-from cornercase.report._commands import describe_unnamed_drivers
+from cornercase.report._repeat_command import describe_unnamed_drivers
 from cornercase.scenario import Value
 from cornercase.scenario._concrete_file import build_concrete_file
 from cornercase.scenario._file import ScenarioFile
@@ -49,7 +49,7 @@ def rerun_payload(
     )
     facts = {key: value for key, value in meta.to_json().items() if key not in ("budget", "repeatability")}
     return {
-        "name": portable_name(meta.title),
+        "name": make_portable_file_name(meta.title),
         "key": hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:16],
         "command": None
         if why
@@ -93,7 +93,7 @@ def render_concrete_scenario(
     meta: StudyMeta, scenario: ScenarioFile, row: ScenarioRecord, selection_reason: str | None
 ) -> bytes:
     """Return the concrete scenario file of a scenario (UTF-8 XML), with the same content that `reduce` writes."""
-    return _fill_scenario(meta, scenario, row.values, _describe_scenario(meta, str(row.id), selection_reason))
+    return _build_scenario_file(meta, scenario, row.values, _describe_scenario(meta, str(row.id), selection_reason))
 
 
 def _reason_without_command(meta: StudyMeta) -> str:
@@ -125,7 +125,9 @@ def _describe_scenario(meta: StudyMeta, scenario: str, why: str | None) -> str:
     return f"{text}: {why}" if why is not None else text
 
 
-def _fill_scenario(meta: StudyMeta, scenario: ScenarioFile, values: Mapping[str, Value], description: str) -> bytes:
+def _build_scenario_file(
+    meta: StudyMeta, scenario: ScenarioFile, values: Mapping[str, Value], description: str
+) -> bytes:
     presets = {entity: driver for entity, driver in meta.drivers.items() if isinstance(driver, str)}
     return build_concrete_file(scenario, values, Path(meta.file_name), presets, description).content
 
@@ -141,7 +143,7 @@ def _split_at_values(
         mark += "-"
     marks = {parameter.name: f"{mark}:{k}:" for k, parameter in enumerate(parameters)}
     try:
-        text = _fill_scenario(meta, scenario, marks, f"{mark}:n:").decode()
+        text = _build_scenario_file(meta, scenario, marks, f"{mark}:n:").decode()
     except (InputError, UnicodeDecodeError):
         # A file that the scenario file needs is missing.
         return None

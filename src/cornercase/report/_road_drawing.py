@@ -16,11 +16,11 @@ from cornercase.roads._network import RoadNetwork
 from cornercase.roads._outline import Region, RoadOutline, outline_roads
 from cornercase.scenario import Value
 from cornercase.scenario._file import ScenarioFile
-from cornercase.scenario._locate import find_scenario_file
 from cornercase.scenario._maps import MAPS_VARIABLE, describe_how_to_get_map
-from cornercase.scenario._road_choices import add_varied_roads
+from cornercase.scenario._scenario_search import find_scenario_file
+from cornercase.scenario._varied_road_files import add_varied_roads
 from cornercase.study import StudyFile
-from cornercase.study._digest import find_bounds
+from cornercase.study._scenario_digest import find_bounds
 from cornercase.study._scenario_file import find_explored_scenario
 
 ROAD_MARGIN: Final = 40.0

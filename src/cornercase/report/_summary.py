@@ -14,19 +14,19 @@ from cornercase._common.plugin_errors import group_failure_messages
 from cornercase._common.text.notebook_html import render_html_table
 from cornercase.clustering import Agreement, Analysis, read_analyses
 from cornercase.clustering._agreement import compare_clusterings
-from cornercase.evidence._bands import Bands, bands_of_study
+from cornercase.evidence._criticality_bands import Bands, bands_of_study
 from cornercase.exploration._constant_metrics import describe_constant_metrics
 from cornercase.metrics._outcome import Culprit, Impact
 from cornercase.recordings import Collision
 from cornercase.reduction import ReducedSet, read_reduction
-from cornercase.reduction._evaluate import reevaluate
-from cornercase.report._collision_replies import ReplyCounts, count_replies
+from cornercase.reduction._evaluate import evaluate_with_study_threshold
+from cornercase.report._collision_reactions import CollisionReactionCounts, count_collision_reactions
 from cornercase.report._estimates import SpaceEstimates, estimate_space
-from cornercase.report._reference_counts import ReferenceCount, count_reference_results
+from cornercase.report._reference_driver_results import ReferenceDriverResults, count_reference_driver_results
 from cornercase.scenario import Value
 from cornercase.study import ScenarioRecord, StudyFile, StudyMeta
 from cornercase.study._criticality_order import order_by_criticality
-from cornercase.study._damage import require_value, reraise_as_damage
+from cornercase.study._damage import require_condition, reraise_read_errors
 from cornercase.study._objective import Objective
 
 # Longest list of reasons that somebody may still read.
@@ -142,13 +142,13 @@ class Summary:
     probability : mapping of str to object, or None
         Result of `cornercase.exploration.estimate`, in the form of its ``to_json``; None if the study is not an
         estimate.
-    references : mapping of str to ReferenceCount
+    references : mapping of str to ReferenceDriverResults
         Results of the reference drivers (models of careful drivers) that the condition or a requirement names, by name.
     failures : mapping of str to FailureSummary
         Failed scenarios by reason, the most frequent reason first; at most 20 reasons.
     bands : mapping of str to Bands
         Bands of criticality by metric, without metrics whose scores are all the same.
-    replies : ReplyCounts or None
+    replies : CollisionReactionCounts or None
         Numbers of collisions by how the ego braked, and by what would have avoided them. None without collisions, or if
         no motion is known.
 
@@ -180,10 +180,10 @@ class Summary:
     estimates: SpaceEstimates
     reduced_set: ReducedSet | None
     probability: Mapping[str, Any] | None = None
-    references: Mapping[str, ReferenceCount] = field(default_factory=dict)
+    references: Mapping[str, ReferenceDriverResults] = field(default_factory=dict)
     failures: Mapping[str, FailureSummary] = field(default_factory=dict)
     bands: Mapping[str, Bands] = field(default_factory=dict)
-    replies: ReplyCounts | None = None
+    replies: CollisionReactionCounts | None = None
     _describe: Callable[[], str] = field(default=str, compare=False)
     """Function that returns the text of ``cornercase show``, which may be empty."""
 
@@ -269,12 +269,12 @@ def summarize_with_collisions(
         agreements=compare_clusterings(study),
         seconds_by_stage=study.elapsed_by_stage(),
         estimates=estimate_space(study),
-        reduced_set=None if reduced is None else reevaluate(study, reduced),
+        reduced_set=None if reduced is None else evaluate_with_study_threshold(study, reduced),
         probability=_read_probability(study),
-        references=count_reference_results(study),
+        references=count_reference_driver_results(study),
         failures=_summarize_failures(study.failed_rows()),
         bands=bands_of_study(study) if "done" in states else {},
-        replies=count_replies(study, impacts),
+        replies=count_collision_reactions(study, impacts),
     )
 
 
@@ -294,17 +294,17 @@ def _summarize_failures(failed: Sequence[ScenarioRecord]) -> dict[str, FailureSu
 def _read_probability(study: StudyFile) -> dict[str, Any] | None:
     estimate = study.read_estimate()
     if estimate is not None:
-        with reraise_as_damage(study.path):
+        with reraise_read_errors(study.path):
             for event in ("critical", "collision"):
                 low, high = estimate[event]["95 % interval"]
-                require_value(
+                require_condition(
                     all(isinstance(number, float | int) for number in (estimate[event]["probability"], low, high)),
                     event,
                 )
-            require_value(
+            require_condition(
                 isinstance(estimate["critical is"], str) and isinstance(estimate["scenarios"], int), "its estimate"
             )
-            require_value(
+            require_condition(
                 all(isinstance(warning, str) for warning in estimate["warnings"]), "the warnings of its estimate"
             )
     return estimate

@@ -94,7 +94,7 @@ class CrossSections:
         )
         return k + (share[..., 0] == 1.0), left, right
 
-    def columns_at(self, distance: FloatArray, offset: FloatArray) -> IntArray:
+    def lane_column_at(self, distance: FloatArray, offset: FloatArray) -> IntArray:
         """Return the column of the lane at points, `NO_LANE` if there is none; on a common edge, that of the left lane.
 
         Points are given by the distance along the path in m, and the offset to the left of the path in m.
@@ -113,20 +113,20 @@ def _iter_stretches(network: RoadNetwork, path: LanePath) -> Iterator[tuple[slic
     for r in np.unique(path.road):
         rows = path.road == r
         section[rows] = network.roads[r].section_at(path.s[rows])
-    for rows in _runs_of_equal(path.road, section, path.lane, path.forward):
+    for rows in _iter_constant_runs(path.road, section, path.lane, path.forward):
         road, k, lane = network.roads[path.road[rows.start]], int(section[rows.start]), int(path.lane[rows.start])
         sign = 1 if path.forward[rows.start] else -1
-        yield rows, road, k, {n: sign * (_rank(n) - _rank(lane)) for n in road.sections[k][1]}
+        yield rows, road, k, {n: sign * (_lane_position(n) - _lane_position(lane)) for n in road.sections[k][1]}
 
 
-def _runs_of_equal(*values: npt.NDArray[Any]) -> Iterator[slice]:
+def _iter_constant_runs(*values: npt.NDArray[Any]) -> Iterator[slice]:
     """Yield slices of consecutive samples in which no value changes."""
     changes = np.any([value[1:] != value[:-1] for value in values], axis=0)
     ends = [*(np.flatnonzero(changes) + 1).tolist(), len(values[0])]
     yield from (slice(start, end) for start, end in zip([0, *ends[:-1]], ends, strict=True))
 
 
-def _rank(lane: int) -> int:
+def _lane_position(lane: int) -> int:
     """Return the position of a lane among all lanes, in which the lanes 1 and -1 are neighbours."""
     return lane - 1 if lane > 0 else lane
 
@@ -136,7 +136,7 @@ def _find_signals(network: RoadNetwork, path: LanePath) -> Iterator[tuple[str, s
     types = {signal.name: signal.signal_type for road in network.roads for signal in road.signals if signal.signal_type}
     # Roads begin and end between samples.
     margin = 1.5 * float(path.distance[1] - path.distance[0])
-    for rows in _runs_of_equal(path.road, path.forward):
+    for rows in _iter_constant_runs(path.road, path.forward):
         forward, s = bool(path.forward[rows.start]), path.s[rows]
         signals = network.roads[path.road[rows.start]].signals
         for signal in signals if forward else reversed(signals):

@@ -39,7 +39,7 @@ def lane_margins(
         is_along = (s > -_END_TOLERANCE) & (s < road.length + _END_TOLERANCE)
         for strip, at in _iter_strips(road, section, merge=False):
             (lane,) = strip
-            low, high = _edges(road, int(section[at[0]]), strip, s[at])
+            low, high = _strip_edges(road, int(section[at[0]]), strip, s[at])
             contains = is_along[at] & (low <= t[at]) & (t[at] <= high)
             direction = road.reference_pose(s[at])[2] + np.where(road.is_traffic_forward(lane, s[at]), 0.0, np.pi)
             is_own = contains & (np.cos(heading[rows[at]] - direction) > _SAME_DIRECTION)
@@ -105,7 +105,7 @@ def _iter_strips(road: Road, section: IntArray, merge: bool) -> Iterator[tuple[t
             yield strip, np.flatnonzero(section == k)
 
 
-def _edges(road: Road, section: int, strip: tuple[int, ...], s: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _strip_edges(road: Road, section: int, strip: tuple[int, ...], s: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the lateral coordinates t of the right and left edge of a strip, (N,) each."""
     edges = np.stack([edge for lane in (strip[0], strip[-1]) for edge in road.lane_edge_offsets(section, lane, s)])
     return edges.min(axis=0), edges.max(axis=0)
@@ -114,7 +114,7 @@ def _edges(road: Road, section: int, strip: tuple[int, ...], s: FloatArray) -> t
 def _corner_margins(road: Road, section: int, strip: tuple[int, ...], corners: FloatArray) -> FloatArray:
     """Return how far corners (N, 4, 2) are inside of a strip, in m, (N, 4); negative outside."""
     s, t = _road_coordinates(road, corners[..., 0].ravel(), corners[..., 1].ravel())
-    low, high = _edges(road, section, strip, s)
+    low, high = _strip_edges(road, section, strip, s)
     return np.minimum(t - low, high - t).reshape(corners.shape[:2])
 
 

@@ -12,7 +12,7 @@ from lxml import etree
 
 from cornercase._common.errors import InputError
 from cornercase._common.io.tracked_xml import find_untracked, note_adaptation
-from cornercase._common.text.source_lines import replace_line
+from cornercase._common.text.element_locations import replace_line_number
 from cornercase._common.typing import FloatArray
 from cornercase.roads._reference_line import match_enumeration, read_finite_number, record_wrong_order
 from cornercase.roads._signs import SpeedLimits, read_lane_speed_limits
@@ -186,10 +186,10 @@ def _read_lanes(section: etree._Element, side: str, location: str) -> dict[int, 
         borders = () if widths else read_polynomials(element.iterfind("border"), "sOffset", location)
         number = read_lane_number(element, location)
         if number in lanes:
-            location = replace_line(location, element)
+            location = replace_line_number(location, element)
             raise InputError(f"{location}: a <laneSection> has two lanes {number}; keep one of them.")
         if number == 0 or (number > 0) != (side == "left"):
-            location = replace_line(location, element)
+            location = replace_line_number(location, element)
             rule = "the lane 0 belongs in <center>" if number == 0 else (
                 f"lanes on the {side} have numbers {'above' if side == 'left' else 'below'} 0"
             )  # fmt: skip
@@ -256,13 +256,13 @@ def read_lane_number(element: etree._Element, location: str, attribute: str = "i
     """Read the number of a lane; raises `InputError` if the number is not an integer or too large."""
     number = read_finite_number(element, attribute, location)
     if number != int(number):
-        location = replace_line(location, element)
+        location = replace_line_number(location, element)
         raise InputError(
             f"{location}: {attribute} of <{element.tag}> is '{element.get(attribute)}', not a whole number."
         )
     if abs(number) > _MAX_LANE_NUMBER:
         raise InputError(
-            f"{replace_line(location, element)}: {attribute} of <{element.tag}> is"
+            f"{replace_line_number(location, element)}: {attribute} of <{element.tag}> is"
             f" '{element.get(attribute)}'; at most {_MAX_LANE_NUMBER}"
             " lanes are read on each side of a road."
         )

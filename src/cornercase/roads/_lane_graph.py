@@ -141,12 +141,12 @@ class LaneGraph:
             distance = self._end_distance_and_width(lane, option)[0] if self._connects_road_ends(lane, option) else 0.0
             if not meets or distance > _MAX_UNREPORTED_GAP:
                 pair = min(lane.road, option.road), max(lane.road, option.road)
-                distances = self.loose_links if meets else self.unconnected_links
+                distances = self.links_with_small_gap if meets else self.unconnected_links
                 distances[pair] = max(distances.get(pair, 0.0), self._end_distance_and_width(lane, option)[0])
         return following
 
     @cached_property
-    def loose_links(self) -> dict[tuple[int, int], float]:
+    def links_with_small_gap(self) -> dict[tuple[int, int], float]:
         """Linked roads with a small gap between lane ends: the largest gap in m by pair of road indices.
 
         `find_exits` fills this mapping.

@@ -71,17 +71,17 @@ class RoadLocator:
         A lane that contains a point is preferred to lanes nearby. Among these, drivable lanes are preferred.
         """
         if not (len(x) and (x == x[0]).all() and (y == y[0]).all()):
-            return self._search(x, y)
+            return self._locate_uncached(x, y)
         # Usually all scenarios of a file start at the same position, in each run: cache it.
         point = x[:1].tobytes() + y[:1].tobytes()
         if point not in self._cache:
             if len(self._cache) >= _CACHE_SIZE:
                 self._cache = {}
-            self._cache[point] = self._search(x[:1], y[:1])
+            self._cache[point] = self._locate_uncached(x[:1], y[:1])
         road, lane, s, offset = self._cache[point]
         return LaneCoordinates(road.repeat(len(x)), lane.repeat(len(x)), s.repeat(len(x)), offset.repeat(len(x)))
 
-    def _search(self, x: FloatArray, y: FloatArray) -> LaneCoordinates:
+    def _locate_uncached(self, x: FloatArray, y: FloatArray) -> LaneCoordinates:
         samples = self._samples
         # NaN is not valid either.
         valid = (np.abs(x) < _MAX_COORDINATE) & (np.abs(y) < _MAX_COORDINATE)

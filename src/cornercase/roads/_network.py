@@ -12,7 +12,7 @@ from lxml import etree
 
 from cornercase._common.errors import InputError, suggest_name
 from cornercase._common.io.tracked_xml import note_adaptation
-from cornercase._common.text.source_lines import format_location
+from cornercase._common.text.element_locations import format_location
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.roads._lane_distance import LaneDistanceIndex
 from cornercase.roads._lane_graph import DirectedLane, LaneGraph
@@ -223,12 +223,12 @@ class RoadNetwork:
         pairs = sorted((*pair, distance) for pair, distance in self._lane_graph.unconnected_links.items())
         return [(self.roads[a].road_id, self.roads[b].road_id, distance) for a, b, distance in pairs]
 
-    def loose_links(self) -> list[tuple[str, str, float]]:
+    def links_with_small_gap(self) -> list[tuple[str, str, float]]:
         """Return pairs of linked roads that are more than 0.5 m apart, and the distance of their lane ends in m.
 
         Only links that paths have reached so far are checked.
         """
-        pairs = sorted((*pair, distance) for pair, distance in self._lane_graph.loose_links.items())
+        pairs = sorted((*pair, distance) for pair, distance in self._lane_graph.links_with_small_gap.items())
         return [(self.roads[a].road_id, self.roads[b].road_id, distance) for a, b, distance in pairs]
 
     def locate(self, x: FloatArray, y: FloatArray) -> LaneCoordinates:

@@ -14,8 +14,8 @@ from cornercase._common.errors import InputError, suggest_name
 from cornercase._common.geometry.boxes import wrap_angle
 from cornercase._common.io.support_table import tag_without_namespace
 from cornercase._common.io.tracked_xml import note_adaptation
+from cornercase._common.text.element_locations import replace_line_number
 from cornercase._common.text.parse_number import parse_number
-from cornercase._common.text.source_lines import replace_line
 from cornercase._common.typing import FloatArray
 
 # Change of heading in rad below which a spiral is treated as an arc, since Fresnel integrals lose digits.
@@ -154,13 +154,13 @@ def read_geometry(
     x, y, heading = (read_finite_number(element, name, location, 0.0) for name in ("x", "y", "hdg"))
     length = read_finite_number(element, "length", location, _positive_difference(default_end, s))
     if length < 0:
-        location = replace_line(location, element)
+        location = replace_line_number(location, element)
         raise InputError(f"{location}: a <geometry> has the length {length:g} m; it must be above 0.")
     if length == 0:
         note_adaptation(element, "<geometry> of 0 m", "is left out", "the length of a <geometry> is above 0")
     shape = next(iter(element.iterchildren("line", "arc", "spiral", "poly3", "paramPoly3")), None)
     if shape is None:
-        location = replace_line(location, element)
+        location = replace_line_number(location, element)
         raise InputError(f"{location}: a <geometry> is not a line, arc, spiral, poly3 or paramPoly3.")
     kind = str(shape.tag)
     names = {"line": (), "arc": ("curvature",), "spiral": ("curvStart", "curvEnd"), "poly3": ("a", "b", "c", "d")}
@@ -275,14 +275,15 @@ def read_finite_number(element: etree._Element, attribute: str, location: str, d
         return default
     if text is None:
         raise InputError(
-            f"{replace_line(location, element)}: <{tag_without_namespace(element)}> has no {attribute}; give it one."
+            f"{replace_line_number(location, element)}: <{tag_without_namespace(element)}> has no {attribute};"
+            " give it one."
         )
     try:
         number = parse_number(text)
     except ValueError:
         number = float("nan")
     if not np.isfinite(number):
-        location = replace_line(location, element)
+        location = replace_line_number(location, element)
         raise InputError(
             f"{location}: {attribute} of <{tag_without_namespace(element)}> is '{text}', not a finite number."
         )

@@ -12,7 +12,7 @@ from lxml import etree
 
 from cornercase._common.errors import InputError
 from cornercase._common.io.tracked_xml import find_untracked
-from cornercase._common.text.source_lines import replace_line
+from cornercase._common.text.element_locations import replace_line_number
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.roads._lane import (
     PERMANENT_LAYER,
@@ -282,14 +282,14 @@ def find_permanent_lanes(road: etree._Element, location: str) -> etree._Element 
     permanent = [element for element in layers if element.attrib.get("layer", PERMANENT_LAYER) == PERMANENT_LAYER]
     if len(permanent) > 1:
         raise InputError(
-            f"{replace_line(location, permanent[1])}: has a second <lanes> of the layer"
+            f"{replace_line_number(location, permanent[1])}: has a second <lanes> of the layer"
             f" '{PERMANENT_LAYER}'; keep one of them,"
             " or name the layer of the other."
         )
     if layers and not permanent:
         layer = layers[0].attrib.get("layer")
         raise InputError(
-            f"{replace_line(location, layers[0])}: has only <lanes> of the layer '{layer}'; give it"
+            f"{replace_line_number(location, layers[0])}: has only <lanes> of the layer '{layer}'; give it"
             f" <lanes> of the layer"
             f" '{PERMANENT_LAYER}'."
         )

@@ -10,7 +10,7 @@ from lxml import etree
 
 from cornercase._common.io.support_table import Notice, NoticeLabel, tag_without_namespace
 from cornercase._common.io.tracked_xml import iter_children_untracked
-from cornercase._common.text.source_lines import line_number
+from cornercase._common.text.element_locations import line_number
 from cornercase.roads._lane import evaluate_polynomials
 from cornercase.roads._network import RoadNetwork
 from cornercase.roads._road import Road
@@ -56,12 +56,15 @@ def list_unsupported(
             notices.append(
                 _make_notice(f"link between the roads {road} and {other}", reason, file, [roads[road], roads[other]])
             )
-        for road, other, distance in network.loose_links():
+        for road, other, distance in network.links_with_small_gap():
             lines = tuple(sorted({line_number(roads[road]), line_number(roads[other])}))
             reason = f"their lanes are {distance:.3g} m apart; entities jump across"
             subject = f"link between the roads {road} and {other}"
             notices.append(Notice((subject,), reason, file, lines, NoticeLabel.ADAPTED, "lanes of linked roads meet"))
-    return (*(notice for notice in notices if notice.lines), *SUPPORT_TABLE.unsupported_notices(root, file, fully_read))
+    return (
+        *(notice for notice in notices if notice.lines),
+        *SUPPORT_TABLE.list_unsupported_notices(root, file, fully_read),
+    )
 
 
 def _geometry_notices(elements: dict[str, etree._Element], file: Path, network: RoadNetwork) -> list[Notice]:

@@ -11,8 +11,8 @@ from lxml import etree
 
 from cornercase._common.errors import InputError
 from cornercase._common.io.tracked_xml import note_adaptation
+from cornercase._common.text.element_locations import format_location
 from cornercase._common.text.parse_number import parse_finite_number, parse_number
-from cornercase._common.text.source_lines import format_location
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.scenario._batch_split import BatchSplitError
 from cornercase.scenario._constraints import ParameterDeclaration
@@ -53,7 +53,7 @@ class AttributeReader:
         self.split_parameters: set[str] = set()
         self._invalid_values: list[tuple[str, BoolArray]] = []
 
-    def origin_parameters(self, text: str) -> set[str]:
+    def find_origin_parameters(self, text: str) -> set[str]:
         """Return the parameters of the logical scenario that the text of an attribute depends on."""
         return {origin for name in parameter_names_in(text) for origin in self._origin_parameters.get(name, set())}
 
@@ -78,7 +78,7 @@ class AttributeReader:
             )
         elif isinstance(value, np.ndarray | np.floating | float):
             broken = ~np.isfinite(value)
-            if np.all(broken) and not self.origin_parameters(text):
+            if np.all(broken) and not self.find_origin_parameters(text):
                 raise self._error(element, attribute, f"is '{text[:60]}', which has no finite value")
             if np.any(broken):
                 everywhere = np.broadcast_to(broken, (self.n_scenarios,))
@@ -112,7 +112,7 @@ class AttributeReader:
         if literal is not None:
             return literal
         values = self.read_numbers(element, attribute, default)
-        origins = self.origin_parameters(text)
+        origins = self.find_origin_parameters(text)
         if (values != values[0]).any() and not np.isnan(values).all():
             raise BatchSplitError(origins)
         self.split_parameters |= origins
@@ -140,7 +140,7 @@ class AttributeReader:
             return default
         if "$" not in text:
             return text.strip()
-        value, origins = self._evaluate(text, element, attribute), self.origin_parameters(text)
+        value, origins = self._evaluate(text, element, attribute), self.find_origin_parameters(text)
         if isinstance(value, np.ndarray):
             if len(np.unique(value)) > 1:
                 raise BatchSplitError(origins)

@@ -29,7 +29,7 @@ class ScenarioBundle:
     def from_file(cls, scenario: ScenarioFile) -> ScenarioBundle:
         """Pack a scenario file with all files that it needs; raises `InputError` for a file with an absolute path."""
         contents = {
-            scenario.road_path_next_to_scenario(file): content for file, content in scenario.read_all_files().items()
+            scenario.road_path_without_map_folders(file): content for file, content in scenario.read_all_files().items()
         }
         for file in contents:
             if not _is_named_relative_to(file, scenario.path.parent):

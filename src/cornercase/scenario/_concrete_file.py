@@ -12,10 +12,10 @@ from typing import Final
 from lxml import etree
 
 from cornercase._common.errors import InputError
-from cornercase._common.io.files import atomic_write, portable_name, read_file
+from cornercase._common.io.files import atomic_write, make_portable_file_name, read_file
 from cornercase._common.text.sanitize import escape_control_characters
-from cornercase.scenario._axes import LEFT_HANDED_PREFIX, find_left_handed_header
 from cornercase.scenario._file import DRIVER_PROPERTY, ScenarioFile
+from cornercase.scenario._left_handed_axes import LEFT_HANDED_PREFIX, find_left_handed_header
 from cornercase.scenario._parameter import Value
 from cornercase.scenario._types import convert_to_type, format_value
 from cornercase.scenario._xml import parse_xml
@@ -105,7 +105,7 @@ def _relocate_catalogs(scenario: ScenarioFile, root: etree._Element) -> Iterator
         holder, attribute = _find_path_attribute(root, directory, "path")
         folder = scenario.resolve_path(holder.get(attribute, ""), "catalog location")
         # ".." is a folder name, too.
-        name = base = portable_name(folder.stem if folder.is_file() else folder.name)
+        name = base = make_portable_file_name(folder.stem if folder.is_file() else folder.name)
         # Folders may have the same name.
         while folders.setdefault(name, folder) != folder:
             name = f"{base}-{len(folders) + 1}"

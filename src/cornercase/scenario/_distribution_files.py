@@ -10,8 +10,8 @@ from typing import Any, Final
 
 from cornercase._common.errors import InputError
 from cornercase._common.io.tracked_xml import find_by_name, find_untracked
+from cornercase._common.text.element_locations import add_location_to_input_errors, format_location
 from cornercase._common.text.parse_number import parse_number
-from cornercase._common.text.source_lines import format_location, locate_input_errors
 from cornercase.scenario._distributions import read_distribution
 from cornercase.scenario._parameter import Parameter
 from cornercase.scenario._range_syntax import create_range, require_unique_names
@@ -24,9 +24,9 @@ def read_distribution_file(path: Path | str, cache: XmlFileCache | None = None) 
     parameters = []
     for tag, reader in _READERS.items():
         for element in distribution.iterfind(f".//{tag}"):
-            with locate_input_errors(element, str(path)):
+            with add_location_to_input_errors(element, str(path)):
                 parameters.append(reader(element, str(path)))
-    with locate_input_errors(distribution, str(path)):
+    with add_location_to_input_errors(distribution, str(path)):
         if not parameters:
             raise InputError(f"{path}: the file varies no parameter; add a distribution for at least one.")
         require_unique_names([name for p in parameters for name in p.assigned_names], str(path))

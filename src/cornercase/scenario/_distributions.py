@@ -120,7 +120,7 @@ def read_distribution(element: etree._Element, path: str) -> tuple[Distribution,
     the C++ standard library. If the file has no bounds, 0.01 % of the probability is cut off at each end.
     """
     where = f"{path}, parameter {element.get('parameterName', '')}"
-    law, choices = _read_untruncated_distribution(element, where)
+    law, choices = _read_unchecked_distribution(element, where)
     if not max(abs(law.low), abs(law.high)) <= _MAX_VALUE:
         raise InputError(
             f"{where}: the distribution reaches from {law.low:g} to {law.high:g}; the largest value is {_MAX_VALUE:g}."
@@ -130,7 +130,7 @@ def read_distribution(element: etree._Element, path: str) -> tuple[Distribution,
     return law, choices
 
 
-def _read_untruncated_distribution(element: etree._Element, location: str) -> tuple[Distribution, tuple[str, ...]]:
+def _read_unchecked_distribution(element: etree._Element, location: str) -> tuple[Distribution, tuple[str, ...]]:
     inner = next(iter(element.iterchildren("*")), None)
     tag = "" if inner is None else str(inner.tag)
     if inner is None or tag not in _KIND_BY_TAG:

@@ -73,10 +73,10 @@ def evaluate_expression(expression: str, values: Mapping[str, Operand]) -> Opera
     """
     if len(expression) > _MAX_CHARACTERS:
         raise InputError(f"An expression has {len(expression)} characters; at most {_MAX_CHARACTERS} are read.")
-    parser = _ExpressionParser(expression, values)
+    parser = _ExpressionEvaluator(expression, values)
     try:
         with np.errstate(all="ignore"):
-            result = parser.parse_binary(0, 0)
+            result = parser.evaluate_binary(0, 0)
     except TypeError:
         raise InputError(f"The expression '{_shorten(expression)}' mixes text and numbers.") from None
     parser.require_end()
@@ -129,21 +129,21 @@ def _shorten(expression: str) -> str:
     return expression if len(expression) <= _MAX_SHOWN_CHARACTERS else f"{expression[:_MAX_SHOWN_CHARACTERS]}…"
 
 
-class _ExpressionParser:
+class _ExpressionEvaluator:
     def __init__(self, expression: str, values: Mapping[str, Operand]) -> None:
         self._expression = expression
         self._values = values
         self._tokens = _tokenize_cached(expression)
         self._position = 0
 
-    def parse_binary(self, min_precedence: int, depth: int) -> Operand:
+    def evaluate_binary(self, min_precedence: int, depth: int) -> Operand:
         if depth > _MAX_NESTING:
             raise self._error(f"it is nested more than {_MAX_NESTING} deep")
-        left = self._parse_unary(depth)
+        left = self._evaluate_unary(depth)
         while (word := self._peek()) in _BINARY_OPERATORS and _BINARY_OPERATORS[word][0] > min_precedence:
             self._position += 1
             strength, apply = _BINARY_OPERATORS[word]
-            right = self.parse_binary(strength, depth + 1)
+            right = self.evaluate_binary(strength, depth + 1)
             # Compare two texts as texts, but a text with a number as numbers.
             if word not in ("==", "!=") or _is_text(left) != _is_text(right):
                 left, right = _number_from_text(left), _number_from_text(right)
@@ -154,19 +154,19 @@ class _ExpressionParser:
         if self._position < len(self._tokens):
             raise self._error(f"'{self._peek()}' is not expected")
 
-    def _parse_unary(self, depth: int) -> Operand:
+    def _evaluate_unary(self, depth: int) -> Operand:
         word = self._peek()
         if word in ("-", "+", "not"):
             if depth > _MAX_NESTING:
                 raise self._error("it is nested too deep")
             self._position += 1
             if word == "not":
-                return np.logical_not(self.parse_binary(2, depth + 1))
-            value = _number_from_text(self._parse_unary(depth + 1))
+                return np.logical_not(self.evaluate_binary(2, depth + 1))
+            value = _number_from_text(self._evaluate_unary(depth + 1))
             return np.negative(value) if word == "-" else value
-        return self._parse_primary(depth)
+        return self._evaluate_primary(depth)
 
-    def _parse_primary(self, depth: int) -> Operand:
+    def _evaluate_primary(self, depth: int) -> Operand:
         if self._position >= len(self._tokens):
             raise self._error("it ends too early")
         kind, word = self._tokens[self._position]
@@ -176,28 +176,28 @@ class _ExpressionParser:
         if kind == "string":
             return word[1:-1]
         if word == "(":
-            value = self.parse_binary(0, depth + 1)
+            value = self.evaluate_binary(0, depth + 1)
             self._expect(")")
             return value
         if kind != "name":
             raise self._error(f"'{word}' is not expected")
         if self._peek() == "(":
-            return self._parse_function_call(word, depth)
+            return self._evaluate_function_call(word, depth)
         if word in _CONSTANTS and word not in self._values:
             return _CONSTANTS[word]
         if word not in self._values:
             raise self._error(f"there is no parameter '{word}', {suggest_name(word, self._values).rstrip('.')}")
         return self._values[word]
 
-    def _parse_function_call(self, name: str, depth: int) -> Operand:
+    def _evaluate_function_call(self, name: str, depth: int) -> Operand:
         if name not in _FUNCTIONS:
             raise self._error(f"there is no function '{name}', {suggest_name(name, _FUNCTIONS).rstrip('.')}")
         count, function = _FUNCTIONS[name]
         self._expect("(")
-        arguments = [self.parse_binary(0, depth + 1)]
+        arguments = [self.evaluate_binary(0, depth + 1)]
         while self._peek() == ",":
             self._position += 1
-            arguments.append(self.parse_binary(0, depth + 1))
+            arguments.append(self.evaluate_binary(0, depth + 1))
         self._expect(")")
         if len(arguments) != count:
             raise self._error(f"'{name}' takes {count} argument{'s' if count > 1 else ''}, not {len(arguments)}")

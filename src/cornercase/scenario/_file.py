@@ -20,10 +20,10 @@ from cornercase._common.io.tracked_xml import (
     iter_children_untracked,
     note_adaptation,
 )
-from cornercase._common.text.source_lines import format_location, line_number, locate_input_errors
-from cornercase.scenario._axes import find_left_handed_header
+from cornercase._common.text.element_locations import add_location_to_input_errors, format_location, line_number
 from cornercase.scenario._catalogs import Catalogs, looks_like_catalog
 from cornercase.scenario._expressions import parameter_names_in
+from cornercase.scenario._left_handed_axes import find_left_handed_header
 from cornercase.scenario._maps import describe_how_to_get_map, find_map, is_network_address, map_name
 from cornercase.scenario._openpass import (
     PROFILES_FILE,
@@ -173,11 +173,11 @@ class ScenarioFile:
                 )
 
     @property
-    def is_left_handed(self) -> bool:
+    def has_left_handed_axes(self) -> bool:
         """True if positions are in CARLA's left-handed axes; the axes of the road file are right-handed."""
         return find_left_handed_header(self.root) is not None
 
-    def left_handed_notices(self) -> tuple[Notice, ...]:
+    def left_handed_axes_notices(self) -> tuple[Notice, ...]:
         """Return a notice that positions are mirrored if the axes are left-handed; otherwise empty."""
         header = find_left_handed_header(self.root)
         if header is None:
@@ -357,7 +357,7 @@ class ScenarioFile:
     def _catalog_files(self) -> list[Path]:
         files: list[Path] = []
         for directory in self._unchecked_root.iterfind("CatalogLocations//Directory"):
-            with locate_input_errors(directory, str(self.path)):
+            with add_location_to_input_errors(directory, str(self.path)):
                 folder = self.resolve_path(self._replace_parameter(directory.get("path", ""), {}), "catalog location")
             candidates = self._list_catalogs(folder) if folder.is_dir() else [folder]
             files += [file for file in candidates if file.is_file() and file not in files]
@@ -428,7 +428,7 @@ class ScenarioFile:
         description = self.resolve_path(reference, "road file") if Path(reference).suffix else f"'{reference}'"
         return f"there is no road file {description}; {describe_how_to_get_map(reference)}"
 
-    def road_path_next_to_scenario(self, path: Path) -> Path:
+    def road_path_without_map_folders(self, path: Path) -> Path:
         """Return the path of a road file in a copy of the scenario that needs no map folders.
 
         A file from a map folder moves to the folder of the scenario. Any other path is returned unchanged.

@@ -17,11 +17,11 @@ from cornercase.scenario._constraints import read_declarations
 from cornercase.scenario._file import ScenarioFile
 from cornercase.scenario._parameter import Value
 from cornercase.scenario._range_syntax import create_range, format_ranges
-from cornercase.scenario._road_choices import add_varied_roads
 from cornercase.scenario._scope import Scope
 from cornercase.scenario._space import ParameterSpace
 from cornercase.scenario._types import convert_to_type, find_type_errors
 from cornercase.scenario._variables import list_variables
+from cornercase.scenario._varied_road_files import add_varied_roads
 from cornercase.scenario._xml import XmlFileCache
 
 _OWN_SIMULATOR_HINT: Final = (

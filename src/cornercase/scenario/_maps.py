@@ -27,14 +27,14 @@ def is_network_address(text: str) -> bool:
 
 
 @contextmanager
-def search_maps_in(folders: Sequence[Path]) -> Iterator[None]:
+def use_map_folders(folders: Sequence[Path]) -> Iterator[None]:
     """Search `folders` first for maps (road files known by name) within a ``with`` block, also in child processes."""
     for folder in folders:
         _require_folder("`maps`", str(folder))
         if os.pathsep in str(folder):
             raise InputError(f"`maps` {folder}: has '{os.pathsep}' in its name, which separates folders; rename it.")
     previous = os.environ.get(MAPS_VARIABLE)
-    map_folders()
+    read_map_folders()
     if folders:
         search_path = [*(str(Path(folder).absolute()) for folder in folders), *([previous] if previous else [])]
         os.environ[MAPS_VARIABLE] = os.pathsep.join(search_path)
@@ -47,7 +47,7 @@ def search_maps_in(folders: Sequence[Path]) -> Iterator[None]:
             os.environ[MAPS_VARIABLE] = previous
 
 
-def map_folders() -> tuple[Path, ...]:
+def read_map_folders() -> tuple[Path, ...]:
     """Return the folders in ``CORNERCASE_MAPS``, in search order; raises `InputError` if a folder does not exist."""
     folders = [folder for folder in os.environ.get(MAPS_VARIABLE, "").split(os.pathsep) if folder.strip()]
     for folder in folders:
@@ -62,7 +62,7 @@ def find_map(reference: str, scenario_folder: Path) -> Path | None:
     """
     name = map_name(reference)
     names = [stem for stem in dict.fromkeys((name, name.removesuffix(_LAYERED_MAP_SUFFIX))) if stem.strip(". ")]
-    for folder in (scenario_folder, *map_folders()) if names else ():
+    for folder in (scenario_folder, *read_map_folders()) if names else ():
         for stem in names:
             # The latter two as in CARLA's own folder.
             for subfolders in ((), ("OpenDrive",), (stem, "OpenDrive")):

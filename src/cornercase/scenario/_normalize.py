@@ -130,7 +130,7 @@ def normalize_openscenario(root: etree._Element) -> None:
         _strip_attribute_values(element)
         _normalize_declaration(element)
         _normalize_values(element)
-        _add_missing_attributes(element)
+        _add_or_rename_attributes(element)
 
 
 def _remove_namespaces(root: etree._Element) -> None:
@@ -219,7 +219,7 @@ def _lowercase_boolean(element: etree._Element, key: str, value: str) -> None:
         _record_change(element, f"{key} of <{element.tag}>", reason, "a boolean is true, false, 1 or 0")
 
 
-def _add_missing_attributes(element: etree._Element) -> None:
+def _add_or_rename_attributes(element: etree._Element) -> None:
     """Add missing mandatory attributes with default values; also correct the letter case of their names."""
     tag = str(element.tag)
     needed = _DEFAULTS.get(tag)

@@ -9,7 +9,7 @@ from lxml import etree
 
 from cornercase._common.io.support_table import Notice
 from cornercase._common.io.tracked_xml import iter_descendants_untracked, note_adaptation
-from cornercase._common.text.source_lines import line_number
+from cornercase._common.text.element_locations import line_number
 
 PROFILES_FILE: Final = "ProfilesCatalog.xml"
 """Name of openPASS's profiles file, next to the scenario."""

@@ -31,13 +31,13 @@ class Quantity:
             low, high = value - reach, value + reach
             # Do not let a standing car drive backwards.
             low = max(low, 0.0) if value == 0.0 and self.unit == "m/s" else low
-            low, high = (_round_to_width(bound, reach) for bound in (low, high))
+            low, high = (_round_range_bound(bound, reach) for bound in (low, high))
         low = low if minimum is None else max(low, minimum)
         high = high if maximum is None else min(high, maximum)
         return (low, high) if low < high and low <= value <= high else None
 
 
-def _round_to_width(value: float, half_width: float) -> float:
+def _round_range_bound(value: float, half_width: float) -> float:
     """Round a bound to about two digits of the half width, so that the range is easy to read."""
     digits = 1
     while digits < 6 and half_width * 10**digits < 50.0:

@@ -9,14 +9,18 @@ import numpy as np
 from lxml import etree
 
 from cornercase._common.errors import InputError, suggest_name
+from cornercase._common.text.element_locations import (
+    add_location_to_input_errors,
+    file_name_of_element,
+    format_location,
+)
 from cornercase._common.text.parse_number import parse_number
-from cornercase._common.text.source_lines import file_name_of_element, format_location, locate_input_errors
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.scenario._attributes import AttributeReader
-from cornercase.scenario._axes import MIRRORED_ATTRIBUTES, find_left_handed_header
 from cornercase.scenario._batch_split import BatchSplitError
 from cornercase.scenario._constraints import ParameterDeclaration, find_constraint_violations, read_declarations
 from cornercase.scenario._expressions import evaluate_expression
+from cornercase.scenario._left_handed_axes import MIRRORED_ATTRIBUTES, find_left_handed_header
 from cornercase.scenario._parameter import Value
 from cornercase.scenario._types import (
     INTEGER_TYPES,
@@ -100,7 +104,9 @@ class Scope(AttributeReader):
             names.discard(name)
             given = {i: values[name] for i, values in enumerate(scenario_values) if name in values}
             origins = (
-                {name} if len(given) == len(scenario_values) else {name} | scope.origin_parameters(declaration.value)
+                {name}
+                if len(given) == len(scenario_values)
+                else {name} | scope.find_origin_parameters(declaration.value)
             )
             if declaration.type_name in NUMERIC_TYPES:
                 scope.parameter_values[name] = scope._numeric_values(declaration, given)
@@ -179,7 +185,7 @@ class Scope(AttributeReader):
                 name = assignment.get("parameterRef", "").lstrip("$")
                 text = assignment.get("value", "")
                 inner.parameter_values[name] = self._evaluate(text, assignment)
-                inner._origin_parameters[name] = self.origin_parameters(text)
+                inner._origin_parameters[name] = self.find_origin_parameters(text)
         return inner
 
     def read_declared_values(self, root: etree._Element, path: str, type_attribute: str) -> dict[str, Any]:
@@ -215,7 +221,7 @@ class Scope(AttributeReader):
         """Return masks of the scenarios that violate constraints of declarations, shape (N,), by violated parameter."""
         masks: dict[str, BoolArray] = {}
         for declaration in declarations:
-            with locate_input_errors(declaration, self.file_name):
+            with add_location_to_input_errors(declaration, self.file_name):
                 masks |= find_constraint_violations(
                     [declaration], self.n_scenarios, self.parameter_values.__getitem__, self._evaluate_bound
                 )
@@ -252,7 +258,7 @@ class Scope(AttributeReader):
                 f" {_MAX_REFERENCE_DEPTH} deep, or circular."
             )
         names = self.read_text(reference, "catalogName"), self.read_text(reference, "entryName")
-        with locate_input_errors(reference, self.file_name):
+        with add_location_to_input_errors(reference, self.file_name):
             element = self._catalog_lookup(*names)
         if allowed_tags and element.tag not in allowed_tags:
             raise InputError(
@@ -268,7 +274,7 @@ class Scope(AttributeReader):
         self.parameter_values[declaration.name] = self._convert_to_type(
             self._evaluate(declaration.value, declaration), declaration
         )
-        self._origin_parameters[declaration.name] = self.origin_parameters(declaration.value)
+        self._origin_parameters[declaration.name] = self.find_origin_parameters(declaration.value)
 
     def _convert_to_type(self, value: Any, declaration: ParameterDeclaration) -> Any:
         """Convert a scalar to the declared type of a parameter; an array (one item per scenario) is only checked."""

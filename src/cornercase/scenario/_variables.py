@@ -15,9 +15,9 @@ from lxml import etree
 
 from cornercase._common.errors import InputError
 from cornercase._common.io.support_table import issue_notice_warning
+from cornercase._common.text.element_locations import line_number
 from cornercase._common.text.parse_number import parse_finite_number
 from cornercase._common.text.sanitize import shorten
-from cornercase._common.text.source_lines import line_number
 from cornercase.scenario._file import ScenarioFile
 from cornercase.scenario._quantities import (
     DYNAMICS_QUANTITIES,
@@ -29,7 +29,7 @@ from cornercase.scenario._quantities import (
     Quantity,
 )
 from cornercase.scenario._road_extent import RoadExtent, read_road_extents
-from cornercase.scenario._runner_criteria import is_condition_never_true
+from cornercase.scenario._scenario_runner_criteria import is_condition_never_true
 from cornercase.scenario._types import INTEGER_TYPES, NUMERIC_TYPES
 from cornercase.scenario._xml import parse_xml
 
@@ -177,7 +177,7 @@ class _VariableCollector:
             # Invalid paths are reported when the scenario runs.
             if problem := self._describe_missing_road():
                 issue_notice_warning(f"no range is proposed for positions on roads: {problem}")
-        numbers = [*self._collect_init(), *self._collect_storyboard()]
+        numbers = [*self._collect_init_actions(), *self._collect_storyboard()]
         several = Counter((number.base, number.suffix) for number in numbers)
         listed = list(self._collect_parameters())
         names = _UniqueNames(number.name for number in listed)
@@ -207,7 +207,7 @@ class _VariableCollector:
                     is_declared=True,
                 )
 
-    def _collect_init(self) -> Iterator[_UnnamedVariable]:
+    def _collect_init_actions(self) -> Iterator[_UnnamedVariable]:
         for private in self._root.iterfind("Storyboard/Init/Actions/Private"):
             entity = self._resolve_parameter(private.get("entityRef", ""))
             for action in private.iterchildren("PrivateAction"):
@@ -324,7 +324,7 @@ class _VariableCollector:
             entries += element.tag == "SpeedProfileEntry"
             row_qualifier = f"entry_{entries}" if element.tag == "SpeedProfileEntry" else qualifier
             for attribute, (suffix, kind) in _quantities_of(element).items():
-                full_suffix = f"{_synchronize_prefix(element, top)}{suffix}"
+                full_suffix = f"{_synchronize_position_prefix(element, top)}{suffix}"
                 yield from self._collect_number(list(row), attribute, base, row_qualifier, full_suffix, kind, group)
 
     def _collect_number(
@@ -428,7 +428,7 @@ def _quantities_of(element: etree._Element) -> Mapping[str, tuple[str, Quantity]
     return {name: entry for name, entry in QUANTITIES.get(tag, {}).items() if element.get(name) is not None}
 
 
-def _synchronize_prefix(element: etree._Element, top: etree._Element) -> str:
+def _synchronize_position_prefix(element: etree._Element, top: etree._Element) -> str:
     """Return ``master_`` or ``target_`` for an element in one of the two positions of a synchronize action.
 
     Return an empty text for other elements.

@@ -12,7 +12,7 @@ from lxml import etree
 from cornercase._common.errors import InputError
 from cornercase._common.io.files import read_file
 from cornercase._common.io.tracked_xml import make_tracking_parser, note_adaptation
-from cornercase._common.text.source_lines import format_location
+from cornercase._common.text.element_locations import format_location
 from cornercase.scenario._normalize import normalize_openscenario
 from cornercase.scenario._other_formats import describe_non_xml_format
 

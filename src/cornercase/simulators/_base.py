@@ -14,8 +14,8 @@ from cornercase._common.errors import InputError, SimulationError
 from cornercase._common.io.support_table import Notice, issue_notice_warning
 from cornercase._common.plugin_errors import convert_plugin_errors
 from cornercase._common.validation import check_float, check_str, repr_short
-from cornercase.drivers._description import serialize_driver
 from cornercase.drivers._resolve import DriverLike, check_drivers
+from cornercase.drivers._serialization import serialize_driver
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario, Value
 from cornercase.scenario._file import ScenarioFile

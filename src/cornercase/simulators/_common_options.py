@@ -10,7 +10,7 @@ from cornercase._common.configurable import declared_options, given_options
 from cornercase._common.errors import InputError
 from cornercase._common.io.support_table import issue_notice_warning
 from cornercase._common.registry import parse_options
-from cornercase._common.validation import check_str, not_an_object
+from cornercase._common.validation import check_str, not_an_object_error
 from cornercase.simulators._base import COMMON_OPTIONS, Simulator
 from cornercase.simulators._registry import SIMULATORS
 from cornercase.simulators._run_options import SIMULATION_OPTIONS
@@ -49,11 +49,11 @@ def split_common_options(
     """Return a simulator without common options such as ``time_step``, and their values from it or `options`."""
     common = {key: options[key] for key in _DEFAULT_OPTIONS}
     if isinstance(simulator, str):
-        stripped, own = _split_text(check_str("simulator", simulator))
+        stripped, own = _split_simulator_text(check_str("simulator", simulator))
     elif isinstance(simulator, Simulator):
         own = {key: value for key, value in given_options(simulator).items() if key in _DEFAULT_OPTIONS}
     else:
-        raise not_an_object("simulator", simulator)
+        raise not_an_object_error("simulator", simulator)
     for key, value in own.items():
         if common[key] not in (None, _DEFAULT_OPTIONS[key], value):
             raise InputError(
@@ -65,7 +65,7 @@ def split_common_options(
     return simulator.with_options(**{key: declared[key].default for key in own}), common | own
 
 
-def _split_text(text: str) -> tuple[str, dict[str, Any]]:
+def _split_simulator_text(text: str) -> tuple[str, dict[str, Any]]:
     """Split the text of a simulator into a text without common options, such as ``time_step``, and their values.
 
     Raises `InputError` if the text has the option ``drivers``, since drivers are not texts.

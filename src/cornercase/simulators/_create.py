@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from cornercase._common.configurable import given_options
 from cornercase._common.validation import check_float, check_int, check_str
-from cornercase.drivers._description import user_driver_spec
+from cornercase.drivers._serialization import user_driver_spec
 from cornercase.simulators._base import Simulator, require_settings
 from cornercase.simulators._common_options import select_declared_options
 from cornercase.simulators._registry import SIMULATORS

@@ -72,7 +72,7 @@ def check_driver_parameters(
                 raise InputError(f"{scenario.path}: {problem}.")
 
 
-def bounds_of_parameters(space: ParameterSpace) -> list[dict[str, Value]]:
+def list_probe_values(space: ParameterSpace) -> list[dict[str, Value]]:
     """Return values for a check of each parameter of a space: its bounds and a value between, or its choices."""
     samples = list[dict[str, Value]]()
     for parameter in space.parameters:

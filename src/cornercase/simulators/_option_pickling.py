@@ -13,9 +13,9 @@ from cornercase._common.errors import InputError
 from cornercase._common.registry import Registry
 from cornercase._common.text.sanitize import format_exception
 from cornercase.drivers import DRIVERS, SENSORS, VEHICLES, Driver
-from cornercase.drivers._description import serialize_driver, user_driver_spec
 from cornercase.drivers._registry import SEPARATOR
 from cornercase.drivers._resolve import driver_by_name
+from cornercase.drivers._serialization import serialize_driver, user_driver_spec
 from cornercase.simulators._base import Simulator
 from cornercase.simulators._registry import SIMULATORS
 

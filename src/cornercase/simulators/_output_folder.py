@@ -13,7 +13,7 @@ from cornercase._common.errors import InputError
 from cornercase._common.io.files import atomic_write, read_file
 from cornercase._common.text.sanitize import escape_csv_cell, format_json, parse_json
 from cornercase._common.version import __version__
-from cornercase.drivers._description import iter_driver_changes
+from cornercase.drivers._serialization import iter_driver_changes
 from cornercase.scenario import ConcreteScenario
 from cornercase.scenario._types import format_value
 from cornercase.scenario._value_table import FILE_COLUMN

@@ -11,7 +11,7 @@ from cornercase._common.errors import InputError, PluginError, SimulationError
 from cornercase._common.io.support_table import Notice
 from cornercase._common.plugin_errors import convert_plugin_errors, make_scenario_failure
 from cornercase._common.process.signals import count_requests
-from cornercase._common.text.source_lines import remove_file_prefix
+from cornercase._common.text.element_locations import remove_file_prefix
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario, Value
 from cornercase.scenario._file import ScenarioFile
@@ -30,10 +30,12 @@ def run_scenarios(simulator: Simulator, concretes: Sequence[ConcreteScenario]) -
     scenario at fault fails. Parameter values are passed by name or by file, as the simulator requires. Raises
     `InputError` if no scenario can be run.
     """
-    yield from run_scenarios_as_given(simulator, with_values_to_pass(simulator, concretes))
+    yield from run_scenarios_as_given(simulator, adapt_values_to_simulator(simulator, concretes))
 
 
-def with_values_to_pass(simulator: Simulator, concretes: Sequence[ConcreteScenario]) -> Sequence[ConcreteScenario]:
+def adapt_values_to_simulator(
+    simulator: Simulator, concretes: Sequence[ConcreteScenario]
+) -> Sequence[ConcreteScenario]:
     """Return scenarios with the values that a simulator takes: all values, or only values other than in the file."""
     return (
         concretes if simulator.parameter_passing == "file" else [concrete.with_all_values() for concrete in concretes]
@@ -78,7 +80,7 @@ def check_simulator_accepts(
         for scenario in scenarios:
             simulator.check_supported(scenario)
         if concretes:
-            simulator.check_runnable(with_values_to_pass(simulator, concretes))
+            simulator.check_runnable(adapt_values_to_simulator(simulator, concretes))
 
 
 def find_refusals(simulator: Simulator, concretes: Sequence[ConcreteScenario]) -> dict[int, str]:
@@ -93,7 +95,7 @@ def find_refusals(simulator: Simulator, concretes: Sequence[ConcreteScenario]) -
         for k, concrete in enumerate(concretes):
             try:
                 simulator.check_supported(concrete.load_file())
-                simulator.check_runnable(with_values_to_pass(simulator, [concrete]))
+                simulator.check_runnable(adapt_values_to_simulator(simulator, [concrete]))
             except InputError as error:
                 refusals[k] = error
     if refusals and len(refusals) == len(concretes):

@@ -115,7 +115,7 @@ def find_entities_far_from_roads(network: RoadNetwork, recording: Recording) -> 
     return result
 
 
-def driver_in_files(simulator: Simulator, scenarios: Iterable[ScenarioFile], ego: str) -> str | None:
+def find_driver_in_files(simulator: Simulator, scenarios: Iterable[ScenarioFile], ego: str) -> str | None:
     """Return the driver that all scenario files name for the ego; ``""`` if no file does and the storyboard moves it.
 
     None if the driver is unknown: the files name several drivers, a scenario may choose a driver during the run, or the
@@ -134,7 +134,7 @@ def driver_in_files(simulator: Simulator, scenarios: Iterable[ScenarioFile], ego
 def warn_if_ego_has_no_driver(simulator: Simulator, scenarios: Iterable[ScenarioFile], ego: str) -> None:
     """Warn if the builtin simulator is used and the ego has no driver in any of the scenarios."""
     drivers = simulator.settings.get("drivers")
-    if (isinstance(drivers, dict) and ego in drivers) or driver_in_files(simulator, scenarios, ego) != "":
+    if (isinstance(drivers, dict) and ego in drivers) or find_driver_in_files(simulator, scenarios, ego) != "":
         return
     issue_notice_warning(
         f"nobody drives {ego}: it follows the scenario and does not react; give it a driver with `drivers`, as in"

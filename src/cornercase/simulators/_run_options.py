@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Final, TypedDict
 
-from cornercase._common.option import option, read_options
+from cornercase._common.option import collect_options, option
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -90,5 +90,5 @@ class SimulationKeywords(RunKeywords, total=False):
     drivers: Mapping[str, DriverLike] | None
 
 
-RUN_OPTIONS: Final = read_options(RunOptions)
-SIMULATION_OPTIONS: Final = read_options(SimulationOptions, RunOptions)
+RUN_OPTIONS: Final = collect_options(RunOptions)
+SIMULATION_OPTIONS: Final = collect_options(SimulationOptions, RunOptions)

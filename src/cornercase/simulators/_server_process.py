@@ -54,7 +54,7 @@ class ServerProcess:
         """Whether the server was started and has not ended."""
         return self._process is not None and self._process.poll() is None
 
-    def prepare_scenario(self) -> bool:
+    def start_if_needed(self) -> bool:
         """Start the server before a scenario if it does not run or has to be restarted; return whether it was started.
 
         If the server does not start, raises `InputError` the first time, and `SimulatorError` later.

@@ -9,7 +9,7 @@ from typing import Any
 from cornercase._common.errors import InputError
 from cornercase._common.io.support_table import warn_notices
 from cornercase._common.process.signals import collect_interrupts
-from cornercase._common.text.source_lines import prefix_file
+from cornercase._common.text.element_locations import prefix_file
 from cornercase._common.validation import check_int, check_parameter_values
 from cornercase.drivers._resolve import DriverLike, resolve_driver
 from cornercase.recordings import Recording

@@ -9,13 +9,13 @@ from typing import Final, Unpack
 
 from cornercase._common import validation
 from cornercase._common.errors import InputError, SimulationError
-from cornercase._common.io.files import check_folder, check_output_differs_from_source, portable_name
+from cornercase._common.io.files import check_output_differs_from_source, check_output_folder, make_portable_file_name
 from cornercase._common.io.support_table import deduplicate_notices, warn_notices
 from cornercase._common.option import check_options, document_options
 from cornercase._common.plugin_errors import group_failure_messages
 from cornercase._common.process.signals import collect_interrupts
 from cornercase._common.progress import ProgressBar
-from cornercase._common.text.source_lines import prefix_file
+from cornercase._common.text.element_locations import prefix_file
 from cornercase.drivers._resolve import resolve_driver
 from cornercase.scenario import ConcreteScenario, Value
 from cornercase.scenario._file import ScenarioFile
@@ -160,7 +160,7 @@ def simulate_many(
     checked = check_options("simulate_many", SIMULATION_OPTIONS, options)
     inputs = scenarios if isinstance(scenarios, Sequence) and not isinstance(scenarios, str) else [scenarios]
     scenario_files, failures = _read_scenario_files(inputs)
-    folder = check_folder("folder", folder)
+    folder = check_output_folder("folder", folder)
     if folder.suffix.lower() == _CSV_SUFFIX:
         raise InputError(
             f"`folder` {folder}: recordings are written into a folder; give a name without '{_CSV_SUFFIX}'."
@@ -247,7 +247,7 @@ def _read_scenario_files(scenarios: Sequence[Path | str | ScenarioFile]) -> tupl
 
 
 def _recording_file_name(path: Path) -> str:
-    return portable_name(path.stem) + _CSV_SUFFIX
+    return make_portable_file_name(path.stem) + _CSV_SUFFIX
 
 
 def _plan_from_files(
@@ -258,7 +258,7 @@ def _plan_from_files(
         raise InputError("`scenario`: name at least one OpenSCENARIO file.")
     scenario_by_name: dict[str, ScenarioFile] = {}
     for scenario in scenarios:
-        other = scenario_by_name.setdefault(portable_name(scenario.path.stem).casefold(), scenario)
+        other = scenario_by_name.setdefault(make_portable_file_name(scenario.path.stem).casefold(), scenario)
         if other is not scenario:
             raise InputError(f"{scenario.path}: has the same recording name as {other.path}; rename one.")
     return [
@@ -279,8 +279,12 @@ def _plan_from_table(
         if duplicates := sorted({*values} & {*row.values}):
             raise InputError(f"`values` {duplicates[0]}: is also a column of {table}; remove one of the two.")
         # A fixed number of digits, so that recordings keep their names if the table grows.
-        file = row.recording_name or f"{portable_name(scenario.path.stem)}-{number:05d}{_CSV_SUFFIX}"
-        if portable_name(file) != file or not file.lower().endswith(_CSV_SUFFIX) or file.lower() == TABLE_FILE:
+        file = row.recording_name or f"{make_portable_file_name(scenario.path.stem)}-{number:05d}{_CSV_SUFFIX}"
+        if (
+            make_portable_file_name(file) != file
+            or not file.lower().endswith(_CSV_SUFFIX)
+            or file.lower() == TABLE_FILE
+        ):
             raise InputError(
                 f"{table}, line {row.line}: '{file}' in the column {FILE_COLUMN} cannot be a recording; give a file"
                 f" name without folder that ends in {_CSV_SUFFIX} and is not {TABLE_FILE}."

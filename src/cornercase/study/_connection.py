@@ -65,7 +65,7 @@ def _describe_unreachable(path: Path, error: sqlite3.Error) -> str:
 
 
 @contextmanager
-def add_path_to_damage(path: Path) -> Iterator[None]:
+def name_study_in_damage_errors(path: Path) -> Iterator[None]:
     """Put the name of the study into the message of a `DamageError` raised in the block."""
     try:
         yield
@@ -187,7 +187,7 @@ def is_read_only_file(path: Path) -> bool:
     return not writable and not path.with_name(path.name + "-wal").exists()
 
 
-def require_single_link(path: Path) -> None:
+def require_single_hard_link(path: Path) -> None:
     """Raise `InputError` if the file has several hard links.
 
     SQLite keeps a separate log for each name, so two processes could write at once.

@@ -31,7 +31,7 @@ class DamageError(InputError):
 
 
 @contextmanager
-def reraise_as_damage(path: Path) -> Iterator[None]:
+def reraise_read_errors(path: Path) -> Iterator[None]:
     """Turn each error that damaged content causes in the block into an `InputError` whose message names the study."""
     try:
         yield
@@ -47,8 +47,8 @@ def reraise_as_damage(path: Path) -> Iterator[None]:
         ) from error
 
 
-def require_value(condition: bool, message: str) -> None:
-    """Raise `ValueError` with `message` unless `condition` holds; call it within `reraise_as_damage`."""
+def require_condition(condition: bool, message: str) -> None:
+    """Raise `ValueError` with `message` unless `condition` holds; call it within `reraise_read_errors`."""
     if not condition:
         raise ValueError(message)
 

@@ -16,16 +16,16 @@ from cornercase._common.io.files import atomic_write
 from cornercase._common.platform import lock_folder
 from cornercase.study._checksums import insert_rows, read_rows, require_checksum_totals
 from cornercase.study._connection import (
-    add_path_to_damage,
     file_identity,
     is_read_only_file,
+    name_study_in_damage_errors,
     open_connection,
     remove_leftover_journals,
     require_current_schema,
     require_known_tables,
     require_nonempty_file,
     require_same_file,
-    require_single_link,
+    require_single_hard_link,
     require_sqlite_integrity,
     reraise_sqlite_errors,
 )
@@ -116,7 +116,7 @@ class Database:
                 # ... and it may not have any.
                 require_known_tables(path, connection)
                 if for_writing:
-                    require_single_link(path)
+                    require_single_hard_link(path)
                     # Damage in unread pages could misdirect writes.
                     require_sqlite_integrity(path, connection)
                     connection.execute("PRAGMA journal_mode = WAL")
@@ -166,14 +166,14 @@ class Database:
     ) -> Generator[Any, None, None]:
         """Yield the rows that `read_rows` returns, one by one to save memory; close the generator before the file."""
         self._require_open()
-        with reraise_sqlite_errors(self.path), add_path_to_damage(self.path):
+        with reraise_sqlite_errors(self.path), name_study_in_damage_errors(self.path):
             yield from read_rows(self.connection, table, condition, *values, with_blob=with_blob)
 
     def require_all_rows(self, table: str) -> None:
         """Raise `DamageError` if rows of a table are missing, or were added by another program."""
-        version = self.write_version()
+        version = self.count_writes()
         if self._verified_versions.get(table) != version:
-            with self.snapshot(), reraise_sqlite_errors(self.path), add_path_to_damage(self.path):
+            with self.snapshot(), reraise_sqlite_errors(self.path), name_study_in_damage_errors(self.path):
                 require_checksum_totals(self.connection, table)
             self._verified_versions[table] = version
 
@@ -187,7 +187,7 @@ class Database:
         with reraise_sqlite_errors(self.path):
             yield from self.connection.execute(sql)
 
-    def write_version(self) -> tuple[int, int]:
+    def count_writes(self) -> tuple[int, int]:
         """Return two counters: writes by other connections, and writes by this connection.
 
         If both are unchanged, the content is unchanged, too.
@@ -224,7 +224,7 @@ class Database:
         syncs = time.monotonic() - self._last_sync >= _SYNC_INTERVAL
         # A moved file is reported after the transaction, so that it holds everything.
         self._require_own_file(force=syncs, check_name=False)
-        with reraise_sqlite_errors(self.path), add_path_to_damage(self.path):
+        with reraise_sqlite_errors(self.path), name_study_in_damage_errors(self.path):
             if self.connection.in_transaction:
                 # An interrupt after BEGIN left an empty transaction open.
                 self.connection.rollback()
@@ -292,7 +292,7 @@ def open_note_transaction(path: Path, timeout: float = _NOTE_TIMEOUT) -> Iterato
     identity = file_identity(path)
     with (
         reraise_sqlite_errors(path),
-        add_path_to_damage(path),
+        name_study_in_damage_errors(path),
         closing(open_connection(path, timeout)) as connection,
     ):
         connection.execute("PRAGMA trusted_schema = OFF")

@@ -30,7 +30,7 @@ from cornercase.scenario import Parameter, ParameterSpace, Value
 from cornercase.study._meta import StudyMeta, metric_fields
 from cornercase.study._objective import Objective
 from cornercase.study._scenario_table import ScenarioRecord
-from cornercase.study._stored_paths import stored_path
+from cornercase.study._stored_paths import format_stored_path
 from cornercase.study._study_file import StudyFile, open_or_create_study
 from cornercase.study._write_tables import FILE_COLUMN, PARAMETER_TABLE
 
@@ -153,7 +153,7 @@ def import_recordings(
     if not instances:
         raise InputError("`metrics`: name at least one.")
     meta = StudyMeta(
-        scenario=stored_path(folder, path),
+        scenario=format_stored_path(folder, path),
         fingerprint=_hash_inputs(table, folder, files),
         space=_infer_space(values),
         ego=ego,
@@ -161,7 +161,7 @@ def import_recordings(
         **metric_fields(instances),
         optimizer="none",
         simulator=IMPORTED_SIMULATOR,
-        settings={"table": stored_path(table, path)},
+        settings={"table": format_stored_path(table, path)},
         critical=Objective(instances).with_threshold(critical, is_required=False).threshold,
         budget=len(files),
         batch=len(files),
@@ -172,7 +172,7 @@ def import_recordings(
         _require_measurable([folder / file for file in files], instances, ego, others)
     with open_or_create_study(path, meta) as opened:
         # The table may have moved; the fingerprint identifies it.
-        opened.writer.resume(replace(meta, settings=opened.meta.settings))
+        opened.writer.check_and_update_meta(replace(meta, settings=opened.meta.settings))
         rows = opened.rows() or opened.writer.add_pending(1, meta.space.points(values), values)
         pending = [row for row in rows if row.state == "pending"]
         bar = track(pending, "Recordings", console=Console(stderr=True), disable=not progress)

@@ -14,7 +14,7 @@ from cornercase._common.errors import InputError
 from cornercase._common.text.sanitize import escape_control_characters, shorten
 from cornercase._common.typing import FloatArray
 from cornercase._common.version import __version__
-from cornercase.drivers._description import format_driver, iter_driver_changes
+from cornercase.drivers._serialization import format_driver, iter_driver_changes
 from cornercase.metrics import METRICS, Metric
 from cornercase.metrics._critical_if import find_critical_if_condition
 from cornercase.metrics._own_metrics import StoredMetric, describe_own_metric

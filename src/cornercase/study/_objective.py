@@ -87,7 +87,7 @@ class Objective:
         weight_vector = np.array(weights) if self.weights else np.eye(len(signs))[0]
         return np.asarray((weight_vector * signs)[:, None])
 
-    def minimized(self, scores: FloatArray) -> FloatArray:
+    def compute_scores_to_minimize(self, scores: FloatArray) -> FloatArray:
         """Return the scores to minimize of m scenarios from `scores` in the metrics' units, shape (m, metrics).
 
         The result has shape (m,), or (m, metrics) for a Pareto front.
@@ -104,7 +104,7 @@ class Objective:
 
         The result has shape (n,), or (n, metrics) for a Pareto front.
         """
-        return self.minimized(np.stack([study.scores(metric.name) for metric in self.metrics], axis=1))
+        return self.compute_scores_to_minimize(np.stack([study.scores(metric.name) for metric in self.metrics], axis=1))
 
     def critical_mask(self, minimized: FloatArray) -> BoolArray:
         """Return a mask, shape (m,), of critical scenarios from scores to minimize; all False without a threshold."""
@@ -114,7 +114,11 @@ class Objective:
 
     def is_critical(self, scores: Mapping[str, float]) -> bool:
         """Return whether a scenario is critical, from its scores by metric; False without a threshold."""
-        return bool(self.critical_mask(self.minimized(np.array([[scores[metric.name] for metric in self.metrics]])))[0])
+        return bool(
+            self.critical_mask(
+                self.compute_scores_to_minimize(np.array([[scores[metric.name] for metric in self.metrics]]))
+            )[0]
+        )
 
     @property
     def threshold(self) -> float | None:
@@ -154,4 +158,4 @@ class Objective:
 
         The shape is (1,), or (metrics,) for a Pareto front.
         """
-        return self.minimized(np.array([[metric.cap for metric in self.metrics]])).ravel()
+        return self.compute_scores_to_minimize(np.array([[metric.cap for metric in self.metrics]])).ravel()

@@ -11,7 +11,7 @@ import numpy as np
 from cornercase.drivers.references.r157._preventability import ReferenceOutcome
 from cornercase.study._checksums import insert_rows
 from cornercase.study._codec import pack_arrays, unpack_arrays
-from cornercase.study._damage import require_value
+from cornercase.study._damage import require_condition
 
 # Outcome (whether it collides, if known) by stored score.
 _OUTCOME_BY_SCORE: Final = {0.0: False, 1.0: True, -1.0: None}
@@ -43,7 +43,7 @@ def write_reference_outcomes(connection: Connection, scenario: int, outcomes: Ma
 def decode_reference_outcome(score: float, packed: bytes) -> ReferenceOutcome:
     """Decode the stored outcome of a run with a reference driver."""
     times = np.asarray(unpack_arrays(packed)["course"])
-    require_value(
+    require_condition(
         score in _OUTCOME_BY_SCORE and times.ndim == 1 and len(times) <= 1,
         "the outcome with a reference driver is not valid",
     )

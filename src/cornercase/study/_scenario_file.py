@@ -7,10 +7,10 @@ from pathlib import Path
 
 from cornercase._common.errors import InputError
 from cornercase.scenario._file import ScenarioFile
-from cornercase.scenario._locate import find_scenario_file, read_if_fingerprint_matches
-from cornercase.scenario._road_choices import add_varied_roads
+from cornercase.scenario._scenario_search import find_scenario_file, read_if_fingerprint_matches
+from cornercase.scenario._varied_road_files import add_varied_roads
 from cornercase.study._import_recordings import IMPORTED_SIMULATOR
-from cornercase.study._remembered_paths import find_remembered_scenario
+from cornercase.study._remembered_paths import find_remembered_path
 from cornercase.study._stored_paths import resolve_stored_path
 from cornercase.study._study_file import StudyFile
 
@@ -40,7 +40,7 @@ def find_explored_scenario(
         return _require_explored(study, add_varied_roads(given, meta.space))
     # The study may come from anywhere: without the option, its stored path is not opened.
     stored = resolve_stored_path(meta.scenario, study.path) if search_stored_path and not meta.suite else None
-    remembered = find_remembered_scenario(meta.fingerprint) if search_remembered_path else None
+    remembered = find_remembered_path(meta.fingerprint) if search_remembered_path else None
     changed = []
     for path in (stored, remembered):
         if path is not None:

@@ -13,7 +13,7 @@ from cornercase._common.io.files import MAX_FILE_SIZE
 _MAX_PARENT_STEPS: Final = 3
 
 
-def stored_path(file: Path, study: Path) -> str:
+def format_stored_path(file: Path, study: Path) -> str:
     """Return the path of a file or folder as a study stores it.
 
     The path is relative to the folder of the study, with ``/`` between its parts. So the same files in another place
@@ -21,9 +21,9 @@ def stored_path(file: Path, study: Path) -> str:
     the path leads up more than three folders, or if it leads up to the root of the file system, to the user's home or
     to a folder above the home, and down again from there.
 
-    >>> stored_path(Path("/data/acc/scenarios/cut_in.xosc"), Path("/data/acc/results/s.db"))
+    >>> format_stored_path(Path("/data/acc/scenarios/cut_in.xosc"), Path("/data/acc/results/s.db"))
     '../scenarios/cut_in.xosc'
-    >>> stored_path(Path("/data/acc/cut_in.xosc"), Path("/tmp/s.db"))
+    >>> format_stored_path(Path("/data/acc/cut_in.xosc"), Path("/tmp/s.db"))
     'cut_in.xosc'
     """
     # Keep the name of a link; resolve `..`.
@@ -44,9 +44,9 @@ def stored_path(file: Path, study: Path) -> str:
 
 
 def resolve_stored_path(stored: str, study: Path) -> Path | None:
-    """Return the scenario file that a result of `stored_path` leads to; None if there is no such file.
+    """Return the scenario file that a result of `format_stored_path` leads to; None if there is no such file.
 
-    A study may come from anyone. So only paths in the form of `stored_path` are followed, and only to OpenSCENARIO
+    A study may come from anyone. So only paths as from `format_stored_path` are followed, and only to OpenSCENARIO
     files of an accepted size.
     """
     parts = stored.split("/")

@@ -14,24 +14,29 @@ import numpy as np
 from cornercase._common import validation
 from cornercase._common.errors import InputError
 from cornercase._common.io.atomic import atomic_write_group
-from cornercase._common.io.files import check_folder
+from cornercase._common.io.files import check_output_folder
 from cornercase._common.text.sanitize import check_no_surrogates, parse_json
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase._common.validation import check_float, check_int
-from cornercase.drivers._description import format_driver
+from cornercase.drivers._serialization import format_driver
 from cornercase.drivers.references.r157._preventability import ReferenceOutcome
 from cornercase.metrics import Metric, registered_features
 from cornercase.metrics._outcome import Impact
 from cornercase.recordings import Collision, Recording, write_osi
-from cornercase.recordings._rounded import encode_rounded
-from cornercase.study._arrays import read_arrays
+from cornercase.recordings._compact_encoding import encode_rounded
+from cornercase.study._analysis_arrays import read_arrays
 from cornercase.study._codec import unpack_arrays, unpack_recording
 from cornercase.study._connection import remove_leftover_journals
 from cornercase.study._criterion import Criterion
+from cornercase.study._critical_run_rates import critical_run_rates
 from cornercase.study._criticality_order import order_by_criticality
-from cornercase.study._damage import require_value, reraise_as_damage
+from cornercase.study._damage import require_condition, reraise_read_errors
 from cornercase.study._database import Database
-from cornercase.study._digest import (
+from cornercase.study._meta import StudyMeta, hash_points_and_scores
+from cornercase.study._notes import MAX_NOTE_LENGTH
+from cornercase.study._objective import Objective
+from cornercase.study._reference_outcomes import decode_reference_outcome, reference_metric_name
+from cornercase.study._scenario_digest import (
     DIGEST_PARTS,
     N_STRIDE_RECORDINGS,
     DigestPart,
@@ -39,18 +44,13 @@ from cornercase.study._digest import (
     create_metrics,
     decode_collisions,
     decode_digest,
-    decode_facts,
+    decode_digest_facts,
     decode_features,
     decode_impacts,
-    decode_rounded,
+    decode_rounded_recording,
     measure_registered_features,
     registered_features_checksum,
 )
-from cornercase.study._meta import StudyMeta, hash_points_and_scores
-from cornercase.study._notes import MAX_NOTE_LENGTH
-from cornercase.study._objective import Objective
-from cornercase.study._reference_outcomes import decode_reference_outcome, reference_metric_name
-from cornercase.study._run_rates import critical_run_rates
 from cornercase.study._scenario_table import ScenarioRecord, build_scenario_table
 from cornercase.study._schema import TABLES
 from cornercase.study._write_tables import write_parameters, write_scenarios, write_table
@@ -170,7 +170,7 @@ class StudyFile:
         try:
             file = validation.check_path("path", path)
             # Its description may be damaged.
-            with reraise_as_damage(file):
+            with reraise_read_errors(file):
                 database = Database.open(file, readonly)
                 return cls(database)
         except InputError:
@@ -232,10 +232,10 @@ class StudyFile:
             In the order in which they were proposed.
         """
         # Checking 50,000 rows takes seconds, so it is repeated only after a write, as are those of scores.
-        version = self._database.write_version()
+        version = self._database.count_writes()
         if self._row_cache is None or self._row_cache[0] != version:
             stored = self._database.read_rows("scenarios")
-            with reraise_as_damage(self.path):
+            with reraise_read_errors(self.path):
                 rows = [self._decode_row(*columns) for columns in stored]
             self._row_cache = version, rows
         return list(self._row_cache[1])
@@ -243,30 +243,30 @@ class StudyFile:
     def _decode_row(
         self, scenario_id: int, round_number: int, point: bytes, parameters: str, state: str, error: str | None
     ) -> ScenarioRecord:
-        require_value(
+        require_condition(
             isinstance(scenario_id, int) and scenario_id > 0, f"a scenario is numbered {str(scenario_id)[:60]!r}"
         )
         row = ScenarioRecord(
             scenario_id, round_number, np.frombuffer(point, "<f8"), parse_json(parameters), state, error
         )
-        require_value(
+        require_condition(
             row.point.shape == (self.space.dimension,), f"the scenario {scenario_id} has another number of parameters"
         )
-        require_value(bool(np.isfinite(row.point).all()), f"the point of the scenario {scenario_id} is not finite")
+        require_condition(bool(np.isfinite(row.point).all()), f"the point of the scenario {scenario_id} is not finite")
         is_plain = all(isinstance(item, str | int | float) for item in row.values.values())
-        require_value(is_plain, f"the scenario {scenario_id} has values that are neither numbers nor texts")
+        require_condition(is_plain, f"the scenario {scenario_id} has values that are neither numbers nor texts")
         for parameter in self.space.parameters:
             value = parameter.extract_value(row.values)
             if parameter.choices:
-                require_value(
+                require_condition(
                     str(value) in parameter.choices,
                     f"the scenario {scenario_id} has an unknown choice of {parameter.name}",
                 )
             else:
-                require_value(
+                require_condition(
                     np.isfinite(float(value)), f"the scenario {scenario_id} has no number for {parameter.name}"
                 )
-        require_value(
+        require_condition(
             isinstance(round_number, int) and isinstance(error, str | None), f"the scenario {scenario_id} is damaged"
         )
         return row
@@ -274,7 +274,7 @@ class StudyFile:
     def _read_rows_where(self, condition: str, value: int | str) -> list[ScenarioRecord]:
         self._database.require_all_rows("scenarios")
         stored = self._database.read_rows("scenarios", condition, value)
-        with reraise_as_damage(self.path):
+        with reraise_read_errors(self.path):
             return [self._decode_row(*columns) for columns in stored]
 
     def rows_of_round(self, round_number: int) -> list[ScenarioRecord]:
@@ -361,14 +361,14 @@ class StudyFile:
         """
         self._require_metric(metric)
         with self.snapshot():
-            version = self._database.write_version()
+            version = self._database.count_writes()
             if metric not in self._score_cache or self._score_cache[metric][0] != version:
                 self._database.require_all_rows("courses")
                 done = self.finished_rows()
                 score_of = {
                     scenario: score for scenario, _, score in self._database.read_rows("courses", "metric = ?", metric)
                 }
-                with reraise_as_damage(self.path):
+                with reraise_read_errors(self.path):
                     scores = np.array([float(score_of[row.id]) for row in done], dtype=np.float64)
                 self._score_cache[metric] = version, scores
             return self._score_cache[metric][1].copy()
@@ -387,7 +387,7 @@ class StudyFile:
             Score by metric, in the metric's unit; empty if the scenario has not run.
         """
         scores = {name: score for _, name, score in self._database.read_rows("courses", "scenario = ?", scenario)}
-        with reraise_as_damage(self.path):
+        with reraise_read_errors(self.path):
             return {name: float(scores[name]) for name in self.meta.metrics if name in scores}
 
     def reference_outcomes(self, driver: str) -> dict[int, ReferenceOutcome]:
@@ -405,7 +405,7 @@ class StudyFile:
         """
         self._database.require_all_rows("courses")
         stored = self._database.read_rows("courses", "metric = ?", reference_metric_name(driver), with_blob=True)
-        with reraise_as_damage(self.path):
+        with reraise_read_errors(self.path):
             return {scenario: decode_reference_outcome(score, packed) for scenario, _, score, packed in stored}
 
     def score_sources(self, metric: str) -> dict[int, str | None]:
@@ -436,8 +436,8 @@ class StudyFile:
             sources = {
                 scenario: other for scenario, _, other in self._database.read_rows("against", "metric = ?", metric)
             }
-        with reraise_as_damage(self.path):
-            require_value(
+        with reraise_read_errors(self.path):
+            require_condition(
                 all(scenario is None or scenario in others for scenario in sources.values()),
                 f"a score of {metric} is measured against an unknown entity",
             )
@@ -460,8 +460,8 @@ class StudyFile:
         if len(self.meta.others) == 1:
             return {}
         sources = {name: other for _, name, other in self._database.read_rows("against", "scenario = ?", scenario)}
-        with reraise_as_damage(self.path):
-            require_value(
+        with reraise_read_errors(self.path):
+            require_condition(
                 all(source is None or source in self.meta.others for source in sources.values()),
                 "a score is measured against an unknown entity",
             )
@@ -505,7 +505,7 @@ class StudyFile:
         """
         condition = "scenario = ? AND metric = ?"
         stored = self._database.read_rows("courses", condition, scenario, reference_metric_name(driver), with_blob=True)
-        with reraise_as_damage(self.path):
+        with reraise_read_errors(self.path):
             return decode_reference_outcome(*stored[0][2:]) if stored else None
 
     def score_range(self, metric: str) -> FloatArray | None:
@@ -528,7 +528,7 @@ class StudyFile:
         self._require_metric(metric)
         if (scores := self._read_run_scores(metric)) is None:
             return None
-        with reraise_as_damage(self.path):
+        with reraise_read_errors(self.path):
             return np.array([[min(run_scores), max(run_scores)] for run_scores in scores], dtype=np.float64)
 
     def _read_run_scores(self, metric: str) -> list[Any] | None:
@@ -539,7 +539,7 @@ class StudyFile:
             texts = {scenario: text for scenario, _, text in self._database.read_rows("repeats", "metric = ?", metric)}
         if not texts:
             return None
-        with reraise_as_damage(self.path):
+        with reraise_read_errors(self.path):
             return [parse_json(texts[row.id]) for row in done]
 
     def course(self, scenario: int, metric: str) -> FloatArray:
@@ -565,10 +565,10 @@ class StudyFile:
         scenario_id = self._check_id_number(scenario)
         rows = self._database.read_rows("courses", "scenario = ? AND metric = ?", scenario_id, metric, with_blob=True)
         if not rows:
-            raise self._not_run(scenario_id)
-        with reraise_as_damage(self.path):
+            raise self._make_not_run_error(scenario_id)
+        with reraise_read_errors(self.path):
             course = np.asarray(unpack_arrays(rows[0][-1])["course"])
-            require_value(
+            require_condition(
                 course.ndim == 1 and course.dtype.kind in "fiu",
                 f"the course of {metric} in the scenario {scenario_id} is not valid",
             )
@@ -597,12 +597,12 @@ class StudyFile:
         scenario_id = self._check_id_number(scenario)
         rows = self._database.read_rows("scenarios", "id = ?", scenario_id, with_blob=True)
         if not rows or rows[0][-1] is None:
-            raise self._not_run(scenario_id)
+            raise self._make_not_run_error(scenario_id)
         packed: bytes = rows[0][-1]
         return packed
 
     def _unpack_recording(self, packed: bytes) -> Recording:
-        with reraise_as_damage(self.path):
+        with reraise_read_errors(self.path):
             return unpack_recording(packed)
 
     def collisions(self) -> dict[int, tuple[Collision, ...]]:
@@ -613,7 +613,7 @@ class StudyFile:
         dict of int to tuple of Collision
             Collisions by scenario id, in the order in which scenarios were proposed.
         """
-        return {scenario: decode_collisions(facts) for scenario, facts in self._iter_facts()}
+        return {scenario: decode_collisions(facts) for scenario, facts in self._iter_digest_facts()}
 
     def impacts(self, ids: Container[int] | None = None) -> dict[int, tuple[Impact, ...]]:
         """Collisions of the ego in the scenarios that ran, with the relative speed at contact.
@@ -628,7 +628,7 @@ class StudyFile:
         dict of int to tuple of Impact
             Collisions in the order of time, by scenario id; scenarios are in the order in which they were proposed.
         """
-        return {scenario: decode_impacts(facts) for scenario, facts in self._iter_facts(ids)}
+        return {scenario: decode_impacts(facts) for scenario, facts in self._iter_digest_facts(ids)}
 
     def most_critical(self, metric: str | None = None) -> list[int]:
         """List the scenarios that ran, the most critical first.
@@ -661,13 +661,13 @@ class StudyFile:
         ids = list(impacts)
         return [ids[k] for k in order]
 
-    def _iter_facts(self, ids: Container[int] | None = None) -> Iterator[tuple[int, dict[str, Any]]]:
+    def _iter_digest_facts(self, ids: Container[int] | None = None) -> Iterator[tuple[int, dict[str, Any]]]:
         """Yield scenario id and decoded facts (the JSON values) of each digest; `ids` limits the scenarios."""
         self._database.require_all_rows("digests")
-        with reraise_as_damage(self.path), closing(self._database.iter_rows("digests")) as rows:
+        with reraise_read_errors(self.path), closing(self._database.iter_rows("digests")) as rows:
             for scenario, facts in rows:
                 if ids is None or scenario in ids:
-                    yield scenario, decode_facts(facts)
+                    yield scenario, decode_digest_facts(facts)
 
     def iter_digests(self, parts: Collection[DigestPart] = DIGEST_PARTS) -> Iterator[tuple[int, ScenarioDigest]]:
         """Yield the digest of each scenario that ran: the values that analysis and report need of its recording.
@@ -686,15 +686,15 @@ class StudyFile:
         ids = [row.id for row in self.finished_rows()]
         self._database.require_all_rows("digests")
         count = 0
-        with reraise_as_damage(self.path), closing(self._database.iter_rows("digests", with_blob=True)) as rows:
+        with reraise_read_errors(self.path), closing(self._database.iter_rows("digests", with_blob=True)) as rows:
             for scenario, facts, packed in rows:
-                require_value(
+                require_condition(
                     count < len(ids) and ids[count] == scenario,
                     f"the digest of the scenario {scenario} is not expected",
                 )
                 count += 1
-                yield scenario, decode_digest(decode_facts(facts), packed, self.meta, parts)
-            require_value(count == len(ids), "a scenario has no digest")
+                yield scenario, decode_digest(decode_digest_facts(facts), packed, self.meta, parts)
+            require_condition(count == len(ids), "a scenario has no digest")
 
     def digest(self, scenario: int) -> ScenarioDigest:
         """Read the digest of one scenario: the values that analysis and report need of its recording.
@@ -714,14 +714,14 @@ class StudyFile:
             The scenario has not run, or its id is not an integer.
         """
         facts, packed = self._read_digest(scenario)
-        with reraise_as_damage(self.path):
-            return decode_digest(decode_facts(facts), packed, self.meta)
+        with reraise_read_errors(self.path):
+            return decode_digest(decode_digest_facts(facts), packed, self.meta)
 
     def _read_digest(self, scenario: int) -> tuple[str, bytes]:
         scenario_id = self._check_id_number(scenario)
         rows = self._database.read_rows("digests", "scenario = ?", scenario_id, with_blob=True)
         if not rows:
-            raise self._not_run(scenario_id)
+            raise self._make_not_run_error(scenario_id)
         _, facts, packed = rows[0]
         return facts, packed
 
@@ -744,8 +744,8 @@ class StudyFile:
             The scenario has not run, or its id is not an integer.
         """
         _, packed = self._read_digest(scenario)
-        with reraise_as_damage(self.path):
-            rounded = decode_rounded(unpack_arrays(packed, names=("rounded",)))
+        with reraise_read_errors(self.path):
+            rounded = decode_rounded_recording(unpack_arrays(packed, names=("rounded",)))
         if rounded:
             return rounded
         recording, courses = self.recording_and_courses(scenario)
@@ -780,7 +780,7 @@ class StudyFile:
 
     def _scenario_features(self, scenario: int, checksum: int) -> FloatArray:
         """Return the f registered features of one scenario, shape (f,)."""
-        with reraise_as_damage(self.path):
+        with reraise_read_errors(self.path):
             stored = decode_features(self._read_digest(scenario)[1], checksum)
         return measure_registered_features(self.recording(scenario), self.meta) if stored is None else stored
 
@@ -812,8 +812,8 @@ class StudyFile:
         if self._first_lengths is None or before <= self._first_lengths[0]:
             condition = "scenario IN (SELECT scenario FROM digests WHERE scenario < ? ORDER BY scenario LIMIT ?)"
             rows = self._database.read_rows("digests", condition, before, N_STRIDE_RECORDINGS)
-            with reraise_as_damage(self.path):
-                lengths = [int(decode_facts(facts)["instants"]) for _, facts in rows]
+            with reraise_read_errors(self.path):
+                lengths = [int(decode_digest_facts(facts)["instants"]) for _, facts in rows]
             self._first_lengths = (rows[-1][0], lengths) if len(rows) == N_STRIDE_RECORDINGS else None
             return lengths
         return self._first_lengths[1]
@@ -838,9 +838,9 @@ class StudyFile:
             Note by scenario id, for scenarios with a note.
         """
         rows = self._database.read_rows("notes")
-        with reraise_as_damage(self.path):
+        with reraise_read_errors(self.path):
             for scenario, note in rows:
-                require_value(
+                require_condition(
                     isinstance(note, str) and len(note) <= MAX_NOTE_LENGTH,
                     f"the note on the scenario {scenario} is not valid",
                 )
@@ -854,7 +854,7 @@ class StudyFile:
             f"`scenario` {validation.repr_short(scenario)}: give the id of a scenario, a whole number from 1 on; {ids}."
         )
 
-    def _not_run(self, scenario: int) -> InputError:
+    def _make_not_run_error(self, scenario: int) -> InputError:
         """Return the error for a scenario that does not exist, or has no recording."""
         ids = [row.id for row in self.rows()]
         if scenario in ids:
@@ -955,7 +955,7 @@ class StudyFile:
         metric = objective.metrics[0]
         if (runs := self._read_run_scores(metric.name)) is None:
             return None
-        with reraise_as_damage(self.path):
+        with reraise_read_errors(self.path):
             scores = [[metric.to_minimize(float(score)) for score in run_scores] for run_scores in runs]
             return critical_run_rates(scores, objective.criterion)
 
@@ -976,12 +976,12 @@ class StudyFile:
         """
         if not self.meta.elsewhere:
             return None
-        with reraise_as_damage(self.path):
+        with reraise_read_errors(self.path):
             rows = self._database.read_rows("elsewhere")
             points = np.array([np.frombuffer(point, dtype="<f8") for point, _ in rows], dtype=np.float64)
             scores = np.array([score for _, score in rows], dtype=np.float64)
             digest = hash_points_and_scores(points, scores)
-            require_value(digest == self.meta.elsewhere.get("sha256"), "the warm-start data is incomplete")
+            require_condition(digest == self.meta.elsewhere.get("sha256"), "the warm-start data is incomplete")
             return points, scores
 
     def analyzed_aspects(self) -> list[str]:
@@ -1029,7 +1029,7 @@ class StudyFile:
         stored = [key for (key,) in self._database.query(query, name)]
         if missing := sorted(set(array_names).difference(stored)):
             raise InputError(f"{self.path}: its analysis by {name} lacks {', '.join(missing)}; run `analyze` again.")
-        with reraise_as_damage(self.path), self.snapshot():
+        with reraise_read_errors(self.path), self.snapshot():
             values = read_arrays(
                 self._database.read_rows, name, list(array_names or stored), sum(self._count_states().values())
             )
@@ -1058,7 +1058,7 @@ class StudyFile:
     def _read_analysis_info(self, name: str) -> dict[str, Any] | None:
         self._database.require_all_rows("analyses")
         rows = self._database.read_rows("analyses", "name = ?", name)
-        with reraise_as_damage(self.path):
+        with reraise_read_errors(self.path):
             return dict(parse_json(rows[0][1])) if rows else None
 
     def result_order(self) -> list[tuple[int, int]]:
@@ -1076,18 +1076,18 @@ class StudyFile:
             stored = self._database.read_rows("results")
             rows = {row.id: row for row in self.rows()}
         ended_ids = {row.id for row in rows.values() if row.state != "pending"}
-        with reraise_as_damage(self.path):
+        with reraise_read_errors(self.path):
             rounds = [round_number for _, _, round_number in stored]
-            require_value(
+            require_condition(
                 all(isinstance(round_number, int) for round_number in rounds) and rounds == sorted(rounds),
                 "the order of its results is not valid",
             )
             last = max((row.round for row in rows.values()), default=0)
-            require_value(
+            require_condition(
                 all(rows[scenario_id].round < round_number <= last + 1 for _, scenario_id, round_number in stored),
                 "the round of a result is not valid",
             )
-            require_value(
+            require_condition(
                 len(stored) == len(ended_ids) and {scenario_id for _, scenario_id, _ in stored} == ended_ids,
                 "a result is missing, there twice, or of a scenario that has not ended",
             )
@@ -1102,7 +1102,7 @@ class StudyFile:
             Time in s by stage, in the order of the stages.
         """
         rows = self._database.read_rows("elapsed")
-        with reraise_as_damage(self.path):
+        with reraise_read_errors(self.path):
             seconds_of = {str(stage): float(seconds) for stage, seconds in rows}
         return {stage: seconds_of[stage] for stage in (*ELAPSED_STAGES, *seconds_of) if stage in seconds_of}
 
@@ -1142,13 +1142,13 @@ class StudyFile:
                 clusters[name] = arrays["ids"], arrays["labels"]
             rows = self.rows()
             ids = {row.id for row in rows}
-            with reraise_as_damage(self.path):
+            with reraise_read_errors(self.path):
                 for name, ids_and_labels in clusters.items():
                     is_valid = all(
                         array.ndim == 1 and array.dtype.kind == "i" and len(array) == len(ids_and_labels[0])
                         for array in ids_and_labels
                     )
-                    require_value(
+                    require_condition(
                         is_valid and set(ids_and_labels[0].tolist()) <= ids,
                         f"its clusters by {name} are of other scenarios",
                     )
@@ -1194,7 +1194,7 @@ class StudyFile:
             The folder cannot be written, or the package that writes Parquet or OSI is not installed. In both cases no
             file has changed.
         """
-        folder = check_folder("folder", folder)
+        folder = check_output_folder("folder", folder)
         table = self.table()
         # All files appear at the end, so that a damaged study leaves no partial export.
         with atomic_write_group():
@@ -1271,9 +1271,9 @@ class StudyFile:
         """
         recording = self.recording(scenario)
         courses = {name: self.course(scenario, name) for name in self.meta.metrics}
-        with reraise_as_damage(self.path):
+        with reraise_read_errors(self.path):
             for name, course in courses.items():
-                require_value(
+                require_condition(
                     len(course) == len(recording.time),
                     f"the course of {name} in the scenario {scenario} has {len(course)} instants, and its recording has"
                     f" {len(recording.time)}",

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from cornercase._common.errors import InputError
-from cornercase._common.extras import describe_install
 from cornercase._common.io.files import atomic_write
+from cornercase._common.optional_packages import describe_install
 from cornercase._common.text.sanitize import escape_csv_cell
 from cornercase._common.typing import FloatArray
 from cornercase.recordings import Recording

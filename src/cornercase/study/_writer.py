@@ -17,19 +17,19 @@ from cornercase.drivers.references.r157._preventability import ReferenceOutcome
 from cornercase.metrics._measure import MetricResult
 from cornercase.recordings import Recording
 from cornercase.scenario import Value
-from cornercase.study._arrays import write_arrays
+from cornercase.study._analysis_arrays import write_arrays
 from cornercase.study._checksums import delete_rows, insert_rows
 from cornercase.study._codec import pack_arrays, pack_recording
 from cornercase.study._database import Database
-from cornercase.study._digest import (
+from cornercase.study._meta import StudyMeta
+from cornercase.study._reference_outcomes import write_reference_outcomes
+from cornercase.study._scenario_digest import (
     N_STRIDE_RECORDINGS,
     downsampling_stride,
     encode_digest,
     make_digest,
     measure_registered_features,
 )
-from cornercase.study._meta import StudyMeta
-from cornercase.study._reference_outcomes import write_reference_outcomes
 from cornercase.study._scenario_table import ScenarioRecord
 from cornercase.study._schema import CREATE_STATEMENTS, TABLES
 
@@ -51,7 +51,7 @@ class StudyWriter:
     def __init__(self, study: StudyFile, database: Database) -> None:
         self._study, self._database = study, database
 
-    def resume(self, meta: StudyMeta, *, same_budget: bool = False) -> None:
+    def check_and_update_meta(self, meta: StudyMeta, *, same_budget: bool = False) -> None:
         """Check that the study can be continued with the description `meta`, and store what may change.
 
         These fields may change: the budget, missing constraints of the space, a missing threshold, and requirements,

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Final
 
 from cornercase._common.errors import InputError
-from cornercase.drivers._description import format_driver
+from cornercase.drivers._serialization import format_driver
 from cornercase.study import ScenarioRecord, StudyFile
-from cornercase.study._damage import reraise_as_damage
+from cornercase.study._damage import reraise_read_errors
 from cornercase.suite._recording_difference import RecordingDifference, compare_recording_pair
 from cornercase.suite._suite_contents import SuiteContents
 
@@ -24,8 +24,8 @@ def find_baseline_study(suite: SuiteContents, against: Path | None) -> tuple[Pat
     If `against` is None, the study that the suite was selected from is searched near the manifest.
     """
     if against is not None:
-        with StudyFile.open(against, readonly=True) as study, reraise_as_damage(against):
-            _read_baseline(suite, study)
+        with StudyFile.open(against, readonly=True) as study, reraise_read_errors(against):
+            _check_baseline_readable(suite, study)
         return against, ""
     if not suite.study:
         return None, "the study that the files were made from is unknown"
@@ -35,8 +35,8 @@ def find_baseline_study(suite: SuiteContents, against: Path | None) -> tuple[Pat
         path = folder / name
         if name and len(name.encode(errors="replace")) <= _MAX_NAME_BYTES and path.is_file():
             try:
-                with StudyFile.open(path, readonly=True) as study, reraise_as_damage(path):
-                    _read_baseline(suite, study)
+                with StudyFile.open(path, readonly=True) as study, reraise_read_errors(path):
+                    _check_baseline_readable(suite, study)
             except InputError:
                 continue
             return path, ""
@@ -48,7 +48,7 @@ def compare_with_baseline(suite: SuiteContents, baseline: Path, study: StudyFile
 
     Scenarios that did not run in both studies are left out.
     """
-    with StudyFile.open(baseline, readonly=True) as earlier, reraise_as_damage(baseline):
+    with StudyFile.open(baseline, readonly=True) as earlier, reraise_read_errors(baseline):
         sources = _match_baseline_rows(suite, earlier)
         differences = {}
         for row in study.finished_rows():
@@ -67,7 +67,7 @@ def find_changed_driver(baseline: Path, study: StudyFile) -> tuple[str, str] | N
 
     Options and versions of a driver do not matter, since a suite is run to compare versions of the same driver.
     """
-    with StudyFile.open(baseline, readonly=True) as earlier, reraise_as_damage(baseline):
+    with StudyFile.open(baseline, readonly=True) as earlier, reraise_read_errors(baseline):
         drivers = [meta.ego_driver for meta in (earlier.meta, study.meta)]
     if None in drivers:
         return None
@@ -76,7 +76,7 @@ def find_changed_driver(baseline: Path, study: StudyFile) -> tuple[str, str] | N
     return (before, now) if names[0] != names[1] else None
 
 
-def _read_baseline(suite: SuiteContents, study: StudyFile) -> None:
+def _check_baseline_readable(suite: SuiteContents, study: StudyFile) -> None:
     """Read everything in the baseline that is compared later, so that damage is reported before the suite is run."""
     for row in _match_baseline_rows(suite, study).values():
         if row.state == "done":

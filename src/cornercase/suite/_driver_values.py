@@ -15,7 +15,7 @@ from cornercase.simulators._driver_parameters import check_driver_parameters
 from cornercase.suite._suite_contents import SuiteContents, SuiteScenario
 
 
-def with_values_of_drivers(
+def assign_driver_values(
     suite: SuiteContents, simulator: str | Simulator, drivers: Mapping[str, str | Driver]
 ) -> SuiteContents:
     """Return the suite with `driver_values` set: the values in each scenario for parameters of this run's drivers.

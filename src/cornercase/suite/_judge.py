@@ -13,11 +13,11 @@ from cornercase._common.typing import FloatArray
 from cornercase.drivers.references.r157._preventability import ReferenceOutcome
 from cornercase.metrics import METRICS
 from cornercase.metrics._evaluation import evaluate_run
-from cornercase.metrics._explain import explain
+from cornercase.metrics._explain_expression import explain
 from cornercase.metrics._outcome import Fault
 from cornercase.recordings import Collision, Recording
 from cornercase.study import ScenarioRecord, StudyFile
-from cornercase.study._damage import reraise_as_damage
+from cornercase.study._damage import reraise_read_errors
 from cornercase.suite._requirement import Requirement
 from cornercase.suite._verdict import Verdict, VerdictState
 
@@ -150,7 +150,7 @@ def depends_on_reference(requirement: Requirement, recording: Recording, ego: st
 
 def judge_study(study: StudyFile) -> dict[int, list[Verdict]]:
     """Judge the finished scenarios of a study by the requirements that it stores; return verdicts by scenario id."""
-    with reraise_as_damage(study.path):
+    with reraise_read_errors(study.path):
         requirements = [Requirement.parse(text) for text in study.meta.requirements]
         if not requirements:
             return {}

@@ -14,10 +14,10 @@ import numpy as np
 from cornercase._common.errors import InputError
 from cornercase._common.io.files import read_file
 from cornercase._common.text.sanitize import escape_control_characters, parse_json
-from cornercase.drivers._description import driver_command_option
+from cornercase.drivers._serialization import driver_command_option
 from cornercase.metrics import METRICS
-from cornercase.reduction._set_folder import MANIFEST, complete_replacement
-from cornercase.reduction._set_manifest import MANIFEST_FORMAT
+from cornercase.reduction._reduced_set_folder import MANIFEST, complete_replacement
+from cornercase.reduction._reduced_set_manifest import MANIFEST_FORMAT
 from cornercase.scenario import ParameterDeclaration, ParameterSpace, Value
 from cornercase.scenario._constraints import read_declarations
 from cornercase.scenario._file import ScenarioFile
@@ -168,10 +168,10 @@ def _require_valid_values(path: Path, space: ParameterSpace, scenarios: Sequence
             raise InputError(
                 f"{path}: the values of {scenario.file_name[:100]} do not fit its parameter space; run `reduce` again."
             ) from error
-        _require_values_of_file(path, scenario)
+        _require_same_values_as_file(path, scenario)
 
 
-def _require_values_of_file(path: Path, scenario: SuiteScenario) -> None:
+def _require_same_values_as_file(path: Path, scenario: SuiteScenario) -> None:
     declared = declarations_by_name(scenario.scenario)
     scenario.scenario.require_declared(list(scenario.values))
     # Paths in the copied file differ from those in the logical scenario.
@@ -180,7 +180,8 @@ def _require_values_of_file(path: Path, scenario: SuiteScenario) -> None:
         if (
             name in declared
             and name not in path_names
-            and as_declared(value, declared[name]) != as_declared(declared[name].value, declared[name])
+            and convert_to_declared_type(value, declared[name])
+            != convert_to_declared_type(declared[name].value, declared[name])
         ):
             raise InputError(
                 f"{path}: gives {scenario.file_name[:100]} the value {escape_control_characters(str(value))[:60]} for"
@@ -195,7 +196,7 @@ def declarations_by_name(scenario: ScenarioFile) -> dict[str, ParameterDeclarati
     return {declaration.name: declaration for declaration in read_declarations(scenario.root, str(scenario.path))}
 
 
-def as_declared(value: Value, declaration: ParameterDeclaration) -> Value:
+def convert_to_declared_type(value: Value, declaration: ParameterDeclaration) -> Value:
     """Convert a value to the type in its declaration, or to text if it cannot have this type."""
     try:
         return convert_to_type(value, declaration.type_name)

@@ -15,9 +15,9 @@ from cornercase._common.progress import ProgressBar
 from cornercase._common.typing import BoolArray
 from cornercase._common.validation import check_bool, check_int, check_str_sequence
 from cornercase.drivers import Driver, Mutant, generate_mutants
-from cornercase.drivers._description import format_driver, serialize_driver, without_driver_spec
-from cornercase.drivers._mutants import is_own_driver_name, mutable_driver_name
+from cornercase.drivers._mutants import is_user_class_name, mutable_driver_name
 from cornercase.drivers._resolve import check_drivers, driver_by_name, resolve_driver
+from cornercase.drivers._serialization import format_driver, remove_driver_spec, serialize_driver
 from cornercase.recordings import Recording
 from cornercase.reduction import KillMatrix
 from cornercase.scenario import ConcreteScenario
@@ -270,10 +270,10 @@ def run_mutants(
     try:
         with collect_interrupts() as raise_interrupt:
             for k, name in enumerate(names):
-                driver: str | Driver = driver_by_name(name) if is_own_driver_name(name) else name
+                driver: str | Driver = driver_by_name(name) if is_user_class_name(name) else name
                 if client is None and isinstance(driver, Driver):
                     # As an object, a class of the user needs no new process for each mutant.
-                    driver = without_driver_spec(driver)
+                    driver = remove_driver_spec(driver)
                 assigned: dict[str, str | Driver] = {**options["drivers"], entities[0]: driver}
                 with create_simulator(_BUILTIN, {**options, "drivers": assigned}, cluster=client) as simulator:
                     for i, verdict in enumerate(_iter_violations(simulator, scenarios, entities, requirements)):

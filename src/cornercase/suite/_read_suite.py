@@ -10,11 +10,11 @@ from cornercase._common.errors import InputError
 from cornercase._common.io.support_table import issue_notice_warning
 from cornercase._common.text.sanitize import escape_control_characters
 from cornercase._common.validation import check_path as path_argument
-from cornercase.reduction._set_folder import MANIFEST
+from cornercase.reduction._reduced_set_folder import MANIFEST
 from cornercase.scenario import Parameter, ParameterDeclaration, ParameterSpace, Value
 from cornercase.scenario._file import ScenarioFile
 from cornercase.simulators._results import describe_file_error
-from cornercase.suite._manifest import as_declared, declarations_by_name, read_manifest
+from cornercase.suite._manifest import convert_to_declared_type, declarations_by_name, read_manifest
 from cornercase.suite._suite_contents import SuiteContents, SuiteScenario
 
 _FILE_PARAMETER: Final = "file"
@@ -90,7 +90,10 @@ def _find_varied_parameters(
         for name, declaration in declarations[0].items()
         if all(name in declared and declared[name].type_name == declaration.type_name for declared in declarations)
     ]
-    columns = {name: [as_declared(declared[name].value, declared[name]) for declared in declarations] for name in names}
+    columns = {
+        name: [convert_to_declared_type(declared[name].value, declared[name]) for declared in declarations]
+        for name in names
+    }
     columns = {name: values for name, values in columns.items() if len(set(values)) > 1}
     parameters = [_make_parameter(name, values) for name, values in columns.items()]
     if len(set(zip(*columns.values(), strict=True))) < len(scenarios):

@@ -9,7 +9,7 @@ from typing import Any, Final
 from cornercase._common.errors import InputError, suggest_name
 from cornercase._common.io.files import parse_toml, read_utf8
 from cornercase._common.io.support_table import issue_notice_warning
-from cornercase.scenario._runner_criteria import read_runner_criteria
+from cornercase.scenario._scenario_runner_criteria import read_scenario_runner_criteria
 from cornercase.suite._requirement import Requirement, parse_requirement_from, requirement_prefix
 from cornercase.suite._suite_contents import SuiteContents
 
@@ -77,12 +77,12 @@ def _load_file(path: Path) -> Any:
         raise InputError(f"{path}: is not valid YAML ({' '.join(str(error).split())[:200]}).") from error
 
 
-def requirements_from_files(suite: SuiteContents) -> list[Requirement]:
+def requirements_from_runner_criteria(suite: SuiteContents) -> list[Requirement]:
     """Make requirements from ScenarioRunner's criteria in the files of a suite; a notice names unusable criteria."""
     files_of: dict[str, list[str]] = {}
     ignored: dict[str, None] = {}
     for scenario in suite.runnable_scenarios:
-        for criterion in read_runner_criteria(scenario.scenario.root, scenario.scenario.scope([{}])):
+        for criterion in read_scenario_runner_criteria(scenario.scenario.root, scenario.scenario.scope([{}])):
             template = _REQUIREMENT_TEMPLATES.get(criterion.name)
             meaning = None if template is None else template(criterion.threshold)
             if meaning is None:

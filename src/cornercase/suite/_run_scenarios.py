@@ -60,9 +60,9 @@ def run_pending_scenarios(
     progress: bool,
 ) -> int:
     """Run the scenarios that the study lacks, store each result at once, and return how many had ended before."""
-    _warn_about_files(suite, simulator, meta.ego)
+    _warn_about_ignored_content(suite, simulator, meta.ego)
     with open_or_create_study(study_path, meta) as study:
-        study.writer.resume(meta)
+        study.writer.check_and_update_meta(meta)
         values = [dict(scenario.values) for scenario in suite.scenarios]
         rows = study.rows() or study.writer.add_pending(1, meta.space.points(values), values)
         n_before = sum(row.state != "pending" for row in rows)
@@ -73,7 +73,10 @@ def run_pending_scenarios(
                 for n_done in _run_pending(study, rows, suite.scenarios, simulator, metrics, workers, notices):
                     raise_interrupt()
                     bar.update(n_done, "")
-                run_again, is_random = partial(_run_again, suite, simulator), partial(_is_random, suite, simulator)
+                run_again, is_random = (
+                    partial(_run_again, suite, simulator),
+                    partial(_has_random_sensors, suite, simulator),
+                )
                 check_repeatability(study, run_again, _NONDETERMINISM_ADVICE, is_random)
         finally:
             bar.stop()
@@ -93,11 +96,11 @@ def _run_again(
     return run_scenarios(simulator, [suite.scenarios[row.id - 1].concrete_scenario])
 
 
-def _is_random(suite: SuiteContents, simulator: Simulator) -> bool:
+def _has_random_sensors(suite: SuiteContents, simulator: Simulator) -> bool:
     return bool(find_random_sensors(simulator, (item.scenario for item in suite.runnable_scenarios)))
 
 
-def _warn_about_files(suite: SuiteContents, simulator: Simulator, ego: str) -> None:
+def _warn_about_ignored_content(suite: SuiteContents, simulator: Simulator, ego: str) -> None:
     """Warn about content of the scenario files that has no effect in the simulator, and if no driver drives the ego."""
     warn_notices(
         deduplicate_notices(

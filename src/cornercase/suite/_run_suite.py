@@ -17,31 +17,31 @@ from cornercase._common.text.sanitize import escape_control_characters, remove_f
 from cornercase._common.validation import check_bool, check_mapping, check_str, check_str_sequence
 from cornercase._common.validation import check_path as path_argument
 from cornercase.drivers import Driver
-from cornercase.drivers._description import require_storable_drivers
 from cornercase.drivers._resolve import DriverLike, check_drivers, check_reference_driver, resolve_driver
+from cornercase.drivers._serialization import require_storable_drivers
 from cornercase.exploration._explore_options import OPTIONS
 from cornercase.metrics import METRICS, Expression, Metric
 from cornercase.metrics._critical_if import find_critical_if_condition
-from cornercase.metrics._expression import formula_text
+from cornercase.metrics._expression import format_as_formula
 from cornercase.metrics._other_entities import ALL_OTHERS, resolve_others
 from cornercase.metrics._own_metrics import resolve_metrics
 from cornercase.simulators import Simulator
 from cornercase.simulators._create import create_simulator
 from cornercase.simulators._results import describe_file_error
-from cornercase.simulators._run_notices import driver_in_files
+from cornercase.simulators._run_notices import find_driver_in_files
 from cornercase.simulators._run_options import RUN_OPTIONS, RunKeywords
 from cornercase.study import StudyFile, StudyMeta
 from cornercase.study._meta import metric_fields
-from cornercase.study._stored_paths import stored_path
+from cornercase.study._stored_paths import format_stored_path
 from cornercase.suite._baseline import compare_with_baseline, find_baseline_study, find_changed_driver
-from cornercase.suite._driver_values import with_values_of_drivers
+from cornercase.suite._driver_values import assign_driver_values
 from cornercase.suite._judge import judge_scenario
 from cornercase.suite._junit import JUNIT_START, write_junit
 from cornercase.suite._markdown import HEADING_START, write_markdown_summary
 from cornercase.suite._mutation_analysis import analyze_suite_mutants, draw_mutants, require_builtin_simulator
 from cornercase.suite._read_suite import read_suite
 from cornercase.suite._requirement import Requirement
-from cornercase.suite._requirement_files import read_requirements, requirements_from_files
+from cornercase.suite._requirement_files import read_requirements, requirements_from_runner_criteria
 from cornercase.suite._run_scenarios import mark_unsupported, run_pending_scenarios, run_reference_drivers
 from cornercase.suite._suite_contents import DEFAULT_SETTINGS, SuiteContents
 from cornercase.suite._suite_result import ScenarioResult, SuiteResult
@@ -153,7 +153,7 @@ def run_suite(
     parsed = _parse_requirements(require, requirements)
     contents = read_suite(suite)
     if check_bool("require_from_file", require_from_file):
-        parsed = _remove_duplicates([*parsed, *requirements_from_files(contents)])
+        parsed = _remove_duplicates([*parsed, *requirements_from_runner_criteria(contents)])
     source, why = find_baseline_study(contents, None if against is None else path_argument("against", against))
     requirements_file = None if requirements is None else path_argument("requirements", requirements)
     read = [*contents.files, *(item for item in (source, requirements_file) if item is not None)]
@@ -167,7 +167,7 @@ def run_suite(
     }
     name = _choose_simulator(contents, given["simulator"])
     settings["drivers"] = _resolve_drivers(contents, given["drivers"])
-    contents = with_values_of_drivers(contents, name, settings["drivers"])
+    contents = assign_driver_values(contents, name, settings["drivers"])
     if mutants is not None:
         # Check before anything is run.
         require_builtin_simulator(str(name))
@@ -181,12 +181,14 @@ def run_suite(
         with start(settings) as started, ExitStack() as stack:
             contents = mark_unsupported(contents, started)
             references = {
-                item: stack.enter_context(_start_with_reference(start, settings, entities[0], item))
+                item: stack.enter_context(_create_reference_simulator(start, settings, entities[0], item))
                 for item in reference_names
             }
             metrics = _choose_metrics(contents, given["metrics"] or (), parsed)
             meta = _build_meta(contents, entities, metrics, parsed, str(name), started.settings, path)
-            driver_in_file = driver_in_files(started, (item.scenario for item in contents.runnable_scenarios), meta.ego)
+            driver_in_file = find_driver_in_files(
+                started, (item.scenario for item in contents.runnable_scenarios), meta.ego
+            )
             meta = replace(meta, driver_in_file=driver_in_file)
             n_parallel = runs["workers"] if client is None else None
             n_before = run_pending_scenarios(
@@ -207,7 +209,7 @@ def run_suite(
     return result
 
 
-def _start_with_reference(
+def _create_reference_simulator(
     factory: Callable[..., Simulator], options: dict[str, Any], ego: str, reference: str
 ) -> Simulator:
     try:
@@ -255,7 +257,7 @@ def _parse_requirements(
     require: Sequence[str | Expression | Requirement], requirements: Path | str | None
 ) -> list[Requirement]:
     if isinstance(require, list | tuple):
-        require = [formula_text(item) if isinstance(item, Expression) else item for item in require]
+        require = [format_as_formula(item) if isinstance(item, Expression) else item for item in require]
         require = [item.text if isinstance(item, Requirement) else item for item in require]
     parsed = [Requirement.parse(item) for item in check_str_sequence("require", require)]
     if requirements is not None:
@@ -391,7 +393,7 @@ def _build_meta(
     # The threshold belongs to the first metric.
     critical = suite.critical if suite.metrics[:1] == (metrics[0].name,) else metrics[0].default_threshold
     return StudyMeta(
-        scenario=stored_path(suite.folder, study),
+        scenario=format_stored_path(suite.folder, study),
         fingerprint=suite.runnable_scenarios[0].scenario.fingerprint(),
         space=suite.space,
         ego=entities[0],

@@ -54,7 +54,7 @@ def measure_agent_motion(recording: Recording) -> AgentMotion:
     """Measure the motion of the ego in a scenario for agents, in which the ego drives along the x axis."""
     e = recording.entity_index(_EGO)
     centers_x, centers_y = box_centers(recording)
-    gaps = _gaps(recording, centers_x, centers_y)
+    gaps = _measure_gaps_to_van(recording, centers_x, centers_y)
     times = [collision.time for collision in recording.collisions if _EGO in collision.entities]
     touching = np.zeros(len(recording.time), bool) if gaps is None else gaps <= 0.0
     touching |= recording.time >= min(times, default=np.inf)
@@ -119,7 +119,7 @@ def _iter_problems(motion: AgentMotion, end: float, duration: float) -> Iterator
         yield f"collides at {motion.collision:.2f} s, though it is never nearer to the van than {motion.gap:.2f} m"
 
 
-def _gaps(recording: Recording, centers_x: FloatArray, centers_y: FloatArray) -> FloatArray | None:
+def _measure_gaps_to_van(recording: Recording, centers_x: FloatArray, centers_y: FloatArray) -> FloatArray | None:
     """Return the gap in m between the ego's front and the van's rear at each instant; None without a van.
 
     The gap is infinite while the ego is beside or beyond the van.

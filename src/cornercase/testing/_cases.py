@@ -186,18 +186,18 @@ def default_cases() -> list[Cases]:
     folder = examples_folder()
     x_intersection = folder / "x_intersection" / "x_intersection.xosc"
     return [
-        _read(x_intersection, [], x_intersection.with_suffix(".space.xosc")),
-        _read(folder / "r157" / "deceleration.xosc", ["gap=20:60", "deceleration=2:6"]),
+        _choose_cases_from_file(x_intersection, [], x_intersection.with_suffix(".space.xosc")),
+        _choose_cases_from_file(folder / "r157" / "deceleration.xosc", ["gap=20:60", "deceleration=2:6"]),
     ]
 
 
-def storyless_cases(folder: Path) -> list[Cases]:
+def write_cases_without_events(folder: Path) -> list[Cases]:
     """Return two scenarios without events, for simulators that do not run the storyboard; write files to a folder."""
     names = ("constant speed", "two that pass each other")
     return [Cases((concrete,), "Ego") for concrete in write_small_scenarios(folder, *names).values()]
 
 
-def undriven_cases(folder: Path) -> list[Cases]:
+def write_cases_without_drivers(folder: Path) -> list[Cases]:
     """Return the default scenarios without drivers, two of each file; write the changed files to a folder.
 
     The storyboard alone moves all entities. These scenarios are for simulators that are slow, and whose own drivers
@@ -206,20 +206,22 @@ def undriven_cases(folder: Path) -> list[Cases]:
     x_intersection = examples_folder() / "x_intersection" / "x_intersection.xosc"
     deceleration = examples_folder() / "r157" / "deceleration.xosc"
     crossing = LogicalScenario.read(
-        _write_without(x_intersection, folder, "ObjectController"), x_intersection.with_suffix(".space.xosc")
+        _copy_without_elements(x_intersection, folder, "ObjectController"), x_intersection.with_suffix(".space.xosc")
     )
     braking = LogicalScenario.read(
-        _write_without(deceleration, folder, "ObjectController"), ranges=["gap=20:60", "deceleration=2:6"]
+        _copy_without_elements(deceleration, folder, "ObjectController"), ranges=["gap=20:60", "deceleration=2:6"]
     )
     return [Cases.from_logical(logical, "Ego", N_UNDRIVEN_CASES) for logical in (crossing, braking)]
 
 
-def unlimited_cases(folder: Path) -> Cases:
+def write_cases_without_limits(folder: Path) -> Cases:
     """Return scenarios in which a car cuts in, without speed and acceleration limits; write the file to a folder."""
-    return _read(_write_without(examples_folder() / "r157" / "cut_in.xosc", folder, "Performance"), ["gap=10:40"])
+    return _choose_cases_from_file(
+        _copy_without_elements(examples_folder() / "r157" / "cut_in.xosc", folder, "Performance"), ["gap=10:40"]
+    )
 
 
-def _write_without(original: Path, folder: Path, tag: str) -> Path:
+def _copy_without_elements(original: Path, folder: Path, tag: str) -> Path:
     """Copy a scenario file without all XML elements `tag`, and its road, to a folder; return the path of the copy."""
     tree = etree.parse(original)
     for element in [*tree.iter(tag)]:
@@ -237,6 +239,6 @@ def _ignore_notice(sentence: str) -> None:
     """Do nothing."""
 
 
-def _read(path: Path, ranges: Sequence[str], space: Path | None = None) -> Cases:
+def _choose_cases_from_file(path: Path, ranges: Sequence[str], space: Path | None = None) -> Cases:
     logical = LogicalScenario.read(path, space, ranges=list(ranges)) if ranges else LogicalScenario.read(path, space)
     return Cases.from_logical(logical, "Ego")

@@ -43,25 +43,25 @@ def iter_corrections(own: Recording, expected: Recording) -> Iterator[tuple[str,
     in_metres = replace(own, **{name: _FOOT * getattr(own, name) for name in ("x", "y", "speed", "acceleration")})
     yield "lengths are in feet", in_metres
     # Positions may be in feet, but the offsets to the boxes in metres.
-    for _, moved in _iter_point_shifts(in_metres, expected):
+    for _, moved in _iter_reference_point_corrections(in_metres, expected):
         yield "lengths are in feet", moved
     yield "speeds are in km/h", replace(own, speed=own.speed / 3.6)
     yield "speeds are in km/h", replace(own, speed=own.speed / 3.6, acceleration=own.acceleration / 3.6)
     yield "braking is positive", replace(own, acceleration=np.gradient(own.speed, own.time, axis=1))
     yield "the last frame is that before", _without_repeated_end(own)
-    yield from _iter_time_shifts(own)
-    yield from _iter_point_shifts(own, expected)
-    yield from _iter_constant_speeds(own, expected)
-    drift = min(_DRIFTS, key=partial(_largest_distance, own, expected))
+    yield from _iter_time_shift_corrections(own)
+    yield from _iter_reference_point_corrections(own, expected)
+    yield from _iter_speed_change_corrections(own, expected)
+    drift = min(_DRIFTS, key=partial(_measure_drift_error, own, expected))
     faster = "fast" if drift > 0.0 else "slow"
-    yield f"its clock is {abs(drift):.1%} too {faster}", _with_drift(own, drift)
+    yield f"its clock is {abs(drift):.1%} too {faster}", _correct_drift(own, drift)
 
 
-def _with_drift(own: Recording, drift: float) -> Recording:
+def _correct_drift(own: Recording, drift: float) -> Recording:
     return replace(own, time=own.time / (1.0 + drift))
 
 
-def _largest_distance(own: Recording, expected: Recording, drift: float) -> float:
+def _measure_drift_error(own: Recording, expected: Recording, drift: float) -> float:
     """Return the largest distance in m of an entity from its expected position, after correction of a clock drift."""
     time = own.time / (1.0 + drift)
     at = expected.time[expected.time <= time[-1]]
@@ -80,7 +80,7 @@ def _without_repeated_end(own: Recording) -> Recording:
     return replace(own, time=own.time[:count], **{name: getattr(own, name)[:, :count] for name in _ARRAYS})
 
 
-def _iter_time_shifts(own: Recording) -> Iterator[tuple[str, Recording]]:
+def _iter_time_shift_corrections(own: Recording) -> Iterator[tuple[str, Recording]]:
     step = float(np.median(np.diff(own.time)))
     for count in range(1, _MAX_SHIFT + 1):
         steps = "a time step" if count == 1 else f"{count} time steps"
@@ -88,7 +88,7 @@ def _iter_time_shifts(own: Recording) -> Iterator[tuple[str, Recording]]:
             yield f"it is {steps} ({count * step:g} s) {word}", replace(own, time=own.time - sign * count * step)
 
 
-def _iter_point_shifts(own: Recording, expected: Recording) -> Iterator[tuple[str, Recording]]:
+def _iter_reference_point_corrections(own: Recording, expected: Recording) -> Iterator[tuple[str, Recording]]:
     """Yield the recording with each entity shifted along its heading, by the estimated error of its reference point."""
     rows = [own.entity_index(name) for name in expected.names]
     shifts, offsets = np.zeros(len(own.names)), np.zeros(len(own.names))
@@ -112,7 +112,7 @@ def _iter_point_shifts(own: Recording, expected: Recording) -> Iterator[tuple[st
     yield f"boxes are about another point of their vehicles ({amounts} ahead)", moved
 
 
-def _iter_constant_speeds(own: Recording, expected: Recording) -> Iterator[tuple[str, Recording]]:
+def _iter_speed_change_corrections(own: Recording, expected: Recording) -> Iterator[tuple[str, Recording]]:
     """Yield, for each entity that wrongly keeps its first speed, the recording with its expected motion."""
     for name in expected.names:
         row, e = own.entity_index(name), expected.entity_index(name)

@@ -31,7 +31,7 @@ _DEATH_TIMEOUT: Final = 5.0
 
 
 @dataclass(frozen=True)
-class CrashRun:
+class CrashResult:
     """Results of runs of the same scenario, while the simulator was killed once."""
 
     killed: str  # command line of the process that was killed
@@ -58,7 +58,7 @@ class CrashRun:
         return largest
 
 
-def crash_during_runs(simulator: str, concrete: ConcreteScenario, ego: str) -> CrashRun:
+def crash_during_runs(simulator: str, concrete: ConcreteScenario, ego: str) -> CrashResult:
     """Run a scenario again and again, and kill the simulator once meanwhile.
 
     If the worker process has started a server, the server is killed, otherwise the worker process itself. Raises
@@ -76,7 +76,7 @@ def crash_during_runs(simulator: str, concrete: ConcreteScenario, ego: str) -> C
         list(run_scenarios(started, [concrete]))
         seconds = time.perf_counter() - begin
         count = min(max(_MIN_SCENARIOS, math.ceil(_RUN_TIME / max(seconds, 1e-3))), _MAX_SCENARIOS)
-        victim, is_server = _find_server(own, others)
+        victim, is_server = _find_process_to_kill(own, others)
         command = " ".join(victim.cmdline())
         outcomes, durations, n_before = list[Outcome](), list[float](), list[int]()
 
@@ -98,7 +98,7 @@ def crash_during_runs(simulator: str, concrete: ConcreteScenario, ego: str) -> C
         if not n_before or n_before[0] == count:
             raise NotTriedError("All scenarios had ended before the simulator could be killed; run the check again.")
         assert _is_gone(victim), "It goes on running after it was killed."
-    return CrashRun(command, is_server, n_before[0], tuple(durations), first, tuple(outcomes))
+    return CrashResult(command, is_server, n_before[0], tuple(durations), first, tuple(outcomes))
 
 
 def _is_gone(process: psutil.Process) -> bool:
@@ -111,7 +111,7 @@ def _is_gone(process: psutil.Process) -> bool:
     return True
 
 
-def _find_server(own: psutil.Process, others: set[int]) -> tuple[psutil.Process, bool]:
+def _find_process_to_kill(own: psutil.Process, others: set[int]) -> tuple[psutil.Process, bool]:
     """Return the server that a worker process has started, or else the worker process, and True for a server.
 
     `others` are ids of processes that are no workers. The server is the oldest process that a worker has started.

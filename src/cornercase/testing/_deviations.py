@@ -95,7 +95,7 @@ class SmallRun:
     motion: AgentMotion | None = None  # of the ego that an agent drives
 
 
-class _Runs(NamedTuple):
+class _RepeatedRun(NamedTuple):
     """Two runs of the same scenario in a simulator, and the duration of each in s."""
 
     own: Recording | SimulationError
@@ -130,11 +130,11 @@ def run_small_scenario(
     )  # fmt: skip
     if isinstance(own, SimulationError):
         return run(f"It failed: {own}.", None, own=None)
-    if missing := _describe_missing({*expected.names}, own):
+    if missing := _describe_different_entities({*expected.names}, own):
         return run(missing, None, own=own)
     deviations = measure_deviations(own, expected)
     problem = deviations.problem
-    if problem and (cause := diagnose(own, expected)):
+    if problem and (cause := find_likely_mistake(own, expected)):
         problem = f"{problem.removesuffix('.')}; it looks as if {cause}."
     return run(problem, deviations, own=own, motion=measure_agent_motion(own) if drivers else None)
 
@@ -151,14 +151,14 @@ def run_with_agent(
     )  # fmt: skip
     if isinstance(own, SimulationError):
         return run(problem=f"It failed: {own}.", own=None)
-    if missing := _describe_missing({*concrete.load_file().entities}, own):
+    if missing := _describe_different_entities({*concrete.load_file().entities}, own):
         return run(problem=missing, own=own)
     motion = measure_agent_motion(own)
     problem = describe_agent_problems(motion, float(own.time[-1]), AGENT_DURATIONS[name])
     return run(problem=problem, own=own, motion=motion)
 
 
-def _run_twice(simulator: str | Simulator, concrete: ConcreteScenario, options: Mapping[str, Any]) -> _Runs:
+def _run_twice(simulator: str | Simulator, concrete: ConcreteScenario, options: Mapping[str, Any]) -> _RepeatedRun:
     outcomes, seconds = list[Recording | SimulationError](), list[float]()
     begin = time.perf_counter()
     for outcome in Cases((concrete, concrete), "Ego").iter_outcomes(simulator, **options):
@@ -166,10 +166,10 @@ def _run_twice(simulator: str | Simulator, concrete: ConcreteScenario, options: 
         seconds.append(time.perf_counter() - begin)
         begin = time.perf_counter()
     (own, again), (first, second) = outcomes, seconds
-    return _Runs(own, again, first, second)
+    return _RepeatedRun(own, again, first, second)
 
 
-def _describe_missing(names: set[str], own: Recording) -> str:
+def _describe_different_entities(names: set[str], own: Recording) -> str:
     """Return a sentence on entities that are only in `names` or only in a recording; empty if there are none."""
     different = sorted(names ^ {*own.names})
     return f"It has other entities: {', '.join(different)}." if different else ""
@@ -199,7 +199,7 @@ def _run_builtin(
     return expected
 
 
-def diagnose(own: Recording, expected: Recording) -> str:
+def find_likely_mistake(own: Recording, expected: Recording) -> str:
     """Return the mistake, as a clause, whose correction makes a recording agree best with the expected recording.
 
     Empty if no correction makes the recordings agree.
@@ -231,12 +231,12 @@ def measure_deviations(own: Recording, expected: Recording) -> Deviations:
     heading = wrap_angle(_resample(own.time, np.unwrap(own.heading[rows]), at) - expected.heading[:, shown])
     boxes = [np.abs(getattr(own, name)[rows] - getattr(expected, name)) for name in ("length", "width")]
     return Deviations(
-        position=_largest(np.hypot(x, y)),
-        heading=_largest(np.abs(heading)),
-        speed=_largest(np.abs(speed).mean(axis=1)) if len(at) else np.inf,
-        acceleration=_largest(np.median(np.abs(acceleration), axis=1)) if len(at) else np.inf,
+        position=_find_largest_or_inf(np.hypot(x, y)),
+        heading=_find_largest_or_inf(np.abs(heading)),
+        speed=_find_largest_or_inf(np.abs(speed).mean(axis=1)) if len(at) else np.inf,
+        acceleration=_find_largest_or_inf(np.median(np.abs(acceleration), axis=1)) if len(at) else np.inf,
         collision=_collision_deviation(own, expected),
-        box=_largest(np.array(boxes)),
+        box=_find_largest_or_inf(np.array(boxes)),
         end=abs(float(own.time[-1] - expected.time[-1])),
     )
 
@@ -245,7 +245,7 @@ def _resample(time: FloatArray, values: FloatArray, at: FloatArray) -> FloatArra
     return np.array([np.interp(at, time, row) for row in values])
 
 
-def _largest(values: FloatArray) -> float:
+def _find_largest_or_inf(values: FloatArray) -> float:
     """Return the largest value; infinite if there are no values, or one of them is not finite."""
     return float(values.max()) if values.size and np.isfinite(values).all() else np.inf
 

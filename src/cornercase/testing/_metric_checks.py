@@ -50,23 +50,25 @@ def metric_checks(
     """
     given = recordings if recordings is not None else _default_recordings()
     checks = {
-        "declares name, unit, direction and cap": _declares,
-        "has a value or NaN at each instant": _has_courses,
-        "scores within its cap and bound": _scores,
-        "leaves the recording as it is": _changes_nothing,
-        "repeats itself": _repeats,
-        "is the same elsewhere on the map": _is_invariant,
-        "is the same in another order of entities": _ignores_order,
-        "takes an entity that is not there all the time": _takes_absence,
-        "is not more critical far away than near": _is_directed,
-        "names an entity that does not exist": _names_unknown,
-        "can be sent to another process": _is_picklable,
+        "declares name, unit, direction and cap": _check_metric_declaration,
+        "has a value or NaN at each instant": _check_metric_courses,
+        "scores within its cap and bound": _check_metric_scores,
+        "leaves the recording as it is": _check_recording_unchanged,
+        "repeats itself": _check_metric_repeatability,
+        "is the same elsewhere on the map": _check_map_invariance,
+        "is the same in another order of entities": _check_entity_order_invariance,
+        "takes an entity that is not there all the time": _check_absent_entity,
+        "is not more critical far away than near": _check_criticality_direction,
+        "names an entity that does not exist": _check_unknown_entity,
+        "can be sent to another process": _check_metric_pickling,
     }
     created = partial(resolve_metric, metric)
-    return [ContractCheck(name, partial(_call, function, created, given)) for name, function in checks.items()]
+    return [
+        ContractCheck(name, partial(_run_metric_check, function, created, given)) for name, function in checks.items()
+    ]
 
 
-def _call(function: Any, created: Any, recordings: Any) -> None:
+def _run_metric_check(function: Any, created: Any, recordings: Any) -> None:
     function(created(), recordings)
 
 
@@ -76,7 +78,7 @@ def _default_recordings() -> list[tuple[Recording, str, str]]:
     return [(r, "Ego", "Pedestrian") for r in x_intersection] + [(r, "Ego", others[0]) for r in deceleration]
 
 
-def _declares(metric: Metric, _: Any) -> None:
+def _check_metric_declaration(metric: Metric, _: Any) -> None:
     assert metric.name, "It has no name."
     assert isinstance(metric.unit, str), f"Its unit is {metric.unit!r}, which is no text."
     assert metric.unit, "It has no unit; '1' stands for none."
@@ -87,7 +89,7 @@ def _declares(metric: Metric, _: Any) -> None:
         assert (metric.bound < metric.cap) == metric.lower_is_critical, f"Its `bound` is not {side} its `cap`."
 
 
-def _has_courses(metric: Metric, recordings: Any) -> None:
+def _check_metric_courses(metric: Metric, recordings: Any) -> None:
     for recording, ego, other in recordings:
         course = metric.course(recording, ego, other)
         assert np.shape(course) == recording.time.shape, (
@@ -96,7 +98,7 @@ def _has_courses(metric: Metric, recordings: Any) -> None:
         assert np.asarray(course).dtype.kind == "f", f"Its course holds {np.asarray(course).dtype}, not floats."
 
 
-def _scores(metric: Metric, recordings: Any) -> None:
+def _check_metric_scores(metric: Metric, recordings: Any) -> None:
     for recording, ego, other in recordings:
         score = metric.score(metric.course(recording, ego, other))
         assert np.isfinite(score), f"A score is {score}."
@@ -104,14 +106,14 @@ def _scores(metric: Metric, recordings: Any) -> None:
         assert is_within, f"A score of {score:g} is less critical than the cap of {metric.cap:g}."
 
 
-def _changes_nothing(metric: Metric, recordings: Any) -> None:
+def _check_recording_unchanged(metric: Metric, recordings: Any) -> None:
     for recording, ego, other in recordings:
         copied = cloudpickle.loads(cloudpickle.dumps(recording))
         metric.course(recording, ego, other)
         assert are_bitwise_equal(copied, recording), "It changes the recording that it measures."
 
 
-def _repeats(metric: Metric, recordings: Any) -> None:
+def _check_metric_repeatability(metric: Metric, recordings: Any) -> None:
     for recording, ego, other in recordings:
         first, second = (metric.course(recording, ego, other) for _ in range(2))
         assert np.array_equal(first, second, equal_nan=True), (
@@ -119,7 +121,7 @@ def _repeats(metric: Metric, recordings: Any) -> None:
         )
 
 
-def _is_invariant(metric: Metric, recordings: Any) -> None:
+def _check_map_invariance(metric: Metric, recordings: Any) -> None:
     cos, sin = np.cos(_TURN), np.sin(_TURN)
     for recording, ego, other in recordings:
         x, y = recording.x, recording.y
@@ -135,7 +137,7 @@ def _is_invariant(metric: Metric, recordings: Any) -> None:
         )
 
 
-def _ignores_order(metric: Metric, recordings: Any) -> None:
+def _check_entity_order_invariance(metric: Metric, recordings: Any) -> None:
     for recording, ego, other in recordings:
         order = np.arange(len(recording.names))[::-1]
         arrays = {
@@ -151,7 +153,7 @@ def _ignores_order(metric: Metric, recordings: Any) -> None:
         )
 
 
-def _takes_absence(metric: Metric, recordings: Any) -> None:
+def _check_absent_entity(metric: Metric, recordings: Any) -> None:
     recording, ego, other = recordings[0]
     k, half = recording.entity_index(other), len(recording.time) // 2
     arrays = {name: getattr(recording, name).copy() for name in ("x", "y", "heading", "speed", "acceleration")}
@@ -161,7 +163,7 @@ def _takes_absence(metric: Metric, recordings: Any) -> None:
     assert np.isfinite(metric.score(course)), "It gives no score if the other entity is not there from the start."
 
 
-def _is_directed(metric: Metric, recordings: Any) -> None:
+def _check_criticality_direction(metric: Metric, recordings: Any) -> None:
     for recording, ego, other in recordings:
         k = recording.entity_index(other)
         x, y, heading = recording.x.copy(), recording.y.copy(), recording.heading[recording.entity_index(ego), 0]
@@ -175,7 +177,7 @@ def _is_directed(metric: Metric, recordings: Any) -> None:
         )
 
 
-def _names_unknown(metric: Metric, recordings: Any) -> None:
+def _check_unknown_entity(metric: Metric, recordings: Any) -> None:
     recording, ego, other = recordings[0]
     expected, message = metric.course(recording, ego, other), ""
     try:
@@ -186,7 +188,7 @@ def _names_unknown(metric: Metric, recordings: Any) -> None:
     assert is_fine, f"It does not say that an entity does not exist, as Recording.entity_index does{message}"
 
 
-def _is_picklable(metric: Metric, recordings: Any) -> None:
+def _check_metric_pickling(metric: Metric, recordings: Any) -> None:
     recording, ego, other = recordings[0]
     sent = cloudpickle.loads(cloudpickle.dumps(metric))
     first, second = (m.score(m.course(recording, ego, other)) for m in (metric, sent))

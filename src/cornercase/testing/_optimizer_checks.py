@@ -38,12 +38,12 @@ def optimizer_checks(optimizer: str | Optimizer) -> list[ContractCheck]:
     ['', '']
     """
     checks = {
-        "proposes points of the unit cube": _proposes,
-        "proposes the same for the same seed": _repeats,
-        "goes on after a restart as if nothing had happened": _resumes,
-        "takes scores that are all equal": _takes_ties,
-        "leaves what it is told as it is": _changes_nothing,
-        "leaves the object as it is": _starts_copies,
+        "proposes points of the unit cube": _check_proposals,
+        "proposes the same for the same seed": _check_seed_repeatability,
+        "goes on after a restart as if nothing had happened": _check_resumption,
+        "takes scores that are all equal": _check_equal_scores,
+        "leaves what it is told as it is": _check_inputs_unchanged,
+        "leaves the object as it is": _check_searches_independent,
     }
     return [ContractCheck(name, partial(function, optimizer)) for name, function in checks.items()]
 
@@ -53,11 +53,11 @@ def _start(optimizer: Any, space: ParameterSpace, seed: int = 1) -> Optimizer:
     return created.start(space, seed, threshold=0.3, budget=_BUDGET)
 
 
-def _spaces() -> Iterator[ParameterSpace]:
+def _iter_example_spaces() -> Iterator[ParameterSpace]:
     yield from (ParameterSpace.from_ranges(list(ranges)) for ranges in _SPACES)
 
 
-def _score(points: FloatArray) -> FloatArray:
+def _compute_example_score(points: FloatArray) -> FloatArray:
     """Return a smooth example score of points, with one critical region; lower is more critical."""
     return np.asarray(np.linalg.norm(points - 0.35, axis=1))
 
@@ -78,12 +78,12 @@ def _search(optimizer: Any, space: ParameterSpace, rounds: int) -> tuple[Optimiz
         proposals.append(np.array(points))
         if not len(points):
             break
-        _pass_scores(search, points, _score(points))
+        _pass_scores(search, points, _compute_example_score(points))
     return search, proposals
 
 
-def _proposes(optimizer: Any) -> None:
-    for space in _spaces():
+def _check_proposals(optimizer: Any) -> None:
+    for space in _iter_example_spaces():
         _, proposals = _search(optimizer, space, _BUDGET // _PER_ROUND)
         assert len(proposals[0]), "It proposes nothing in the first round."
         for points in proposals:
@@ -94,28 +94,28 @@ def _proposes(optimizer: Any) -> None:
             assert ((points >= 0.0) & (points <= 1.0)).all(), "It proposes a point outside of the unit cube."
 
 
-def _repeats(optimizer: Any) -> None:
-    for space in _spaces():
+def _check_seed_repeatability(optimizer: Any) -> None:
+    for space in _iter_example_spaces():
         first, second = (_search(optimizer, space, 4)[1] for _ in range(2))
         assert all(map(np.array_equal, first, second)), "With the same seed and scores it proposes other points."
 
 
-def _resumes(optimizer: Any) -> None:
-    for space in _spaces():
+def _check_resumption(optimizer: Any) -> None:
+    for space in _iter_example_spaces():
         search, proposals = _search(optimizer, space, 3)
         resumed = _start(optimizer, space)
         for points in proposals:
             if resumed.is_stateful_ask:
                 resumed.ask(_PER_ROUND)
             if len(points):
-                _pass_scores(resumed, points, _score(points))
+                _pass_scores(resumed, points, _compute_example_score(points))
         assert np.array_equal(search.ask(_PER_ROUND), resumed.ask(_PER_ROUND)), (
             "A fresh copy with the same scores proposes other points, so a killed search could not be resumed."
         )
 
 
-def _takes_ties(optimizer: Any) -> None:
-    for space in _spaces():
+def _check_equal_scores(optimizer: Any) -> None:
+    for space in _iter_example_spaces():
         search = _start(optimizer, space)
         for _ in range(4):
             points = search.ask(_PER_ROUND)
@@ -123,11 +123,11 @@ def _takes_ties(optimizer: Any) -> None:
                 _pass_scores(search, points, np.zeros(len(points)))
 
 
-def _changes_nothing(optimizer: Any) -> None:
-    for space in _spaces():
+def _check_inputs_unchanged(optimizer: Any) -> None:
+    for space in _iter_example_spaces():
         search = _start(optimizer, space)
         points = search.ask(_PER_ROUND)
-        scores = _score(points)
+        scores = _compute_example_score(points)
         copies = points.copy(), scores.copy()
         _pass_scores(search, points, scores)
         search.ask(_PER_ROUND)
@@ -135,9 +135,9 @@ def _changes_nothing(optimizer: Any) -> None:
         assert is_unchanged, "It changes the arrays of points or scores that it is given."
 
 
-def _starts_copies(optimizer: Any) -> None:
+def _check_searches_independent(optimizer: Any) -> None:
     created = OPTIMIZERS.resolve(optimizer, "optimizer")
-    space = next(_spaces())
+    space = next(_iter_example_spaces())
     first, second = (created.start(space, 1, threshold=0.3, budget=_BUDGET) for _ in range(2))
     points = first.ask(_PER_ROUND)
     _pass_scores(first, points, np.zeros(len(points)))

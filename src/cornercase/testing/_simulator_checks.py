@@ -22,11 +22,11 @@ from cornercase.recordings._compare import are_bitwise_equal, max_position_diffe
 from cornercase.simulators import SIMULATORS, Simulator
 from cornercase.simulators._base import require_settings
 from cornercase.simulators._registry import simulator_availability
-from cornercase.testing._cases import Cases, default_cases, storyless_cases, undriven_cases
+from cornercase.testing._cases import Cases, default_cases, write_cases_without_drivers, write_cases_without_events
 from cornercase.testing._contract_check import ContractCheck, NotTriedError
-from cornercase.testing._crash import CrashRun, crash_during_runs
+from cornercase.testing._crash import CrashResult, crash_during_runs
 from cornercase.testing._deviations import SmallRun, run_small_scenario, run_with_agent
-from cornercase.testing._example_function import CarFollowing
+from cornercase.testing._example_driver import CarFollowing
 from cornercase.testing._small_scenarios import AGENT_DURATIONS, SMALL_SCENARIOS, write_small_scenarios
 
 # m by which positions in two runs may differ, and a distance from the integral of the speed.
@@ -48,7 +48,7 @@ def simulator_checks(
     simulator: str | Simulator,
     cases: Sequence[Cases] | None = None,
     on_run: Callable[[SmallRun], None] | None = None,
-    on_crash: Callable[[CrashRun], None] | None = None,
+    on_crash: Callable[[CrashResult], None] | None = None,
 ) -> list[ContractCheck]:
     """Return the contract checks of a simulator.
 
@@ -87,31 +87,31 @@ def simulator_checks(
     declared = SIMULATORS.get_class(simulator)
     given = cases if cases is not None else _default_cases(declared)
     checks = {
-        _AVAILABLE: _is_available,
-        _RUNS: _gives_recordings,
-        "gives them in order": _keeps_order,
-        "records m, rad, m/s, m/s² in right-handed axes": _records_units,
-        "runs on after a scenario that cannot be run": _survives,
+        _AVAILABLE: _check_availability,
+        _RUNS: _check_recordings,
+        "gives them in order": _check_scenario_order,
+        "records m, rad, m/s, m/s² in right-handed axes": _check_recorded_units,
+        "runs on after a scenario that cannot be run": _check_run_after_failure,
     }
     if declared.deterministic:
-        checks["repeats itself, as it declares"] = _repeats
+        checks["repeats itself, as it declares"] = _check_determinism
     if declared.batched:
-        checks["gives the same alone and among other scenarios"] = _is_independent
+        checks["gives the same alone and among other scenarios"] = _check_batch_independence
     if not declared.in_process:
-        checks["goes on after a crash on purpose"] = partial(_survives_crash, on_crash=on_crash)
+        checks["goes on after a crash on purpose"] = partial(_check_crash_recovery, on_crash=on_crash)
     # Without drivers, since each simulator has drivers of its own.
     for name in SMALL_SCENARIOS:
-        checks[f"agrees with the builtin simulator: {name}"] = partial(_agrees, name=name, on_run=on_run)
+        checks[f"agrees with the builtin simulator: {name}"] = partial(_check_agreement, name=name, on_run=on_run)
     for name in AGENT_DURATIONS:
         checks[f"agrees with the builtin simulator, driven by {_OWN_FUNCTION}: {name}"] = partial(
-            _agrees_with_function, name=name, on_run=on_run
+            _check_agreement_when_driven, name=name, on_run=on_run
         )
     with convert_plugin_errors(f"The simulator '{declared.name}'", declared, "in own_agents"):
         agents = declared.own_agents()
     for agent, options in agents.items():
         for name in AGENT_DURATIONS:
             checks[f"is driven by {agent}: {name}"] = partial(
-                _is_driven, name=name, agent=agent, options=options, on_run=on_run
+                _check_agent_run, name=name, agent=agent, options=options, on_run=on_run
             )
     return [
         ContractCheck(name, partial(function, simulator, given), _NEEDS.get(name, _RUNS))
@@ -125,11 +125,11 @@ def _default_cases(declared: type[Simulator]) -> list[Cases]:
     folder = TemporaryDirectory()
     # Removed when the process ends, at the latest.
     _FOLDERS.append(folder)
-    write = undriven_cases if declared.runs_storyboard else storyless_cases
+    write = write_cases_without_drivers if declared.runs_storyboard else write_cases_without_events
     return write(Path(folder.name))
 
 
-def _is_available(simulator: Any, _: Sequence[Cases]) -> None:
+def _check_availability(simulator: Any, _: Sequence[Cases]) -> None:
     # Options may name a server on another machine, or start one.
     if not (isinstance(simulator, str) and ":" in simulator):
         problem = simulator_availability(simulator).problem
@@ -144,7 +144,7 @@ def _is_available(simulator: Any, _: Sequence[Cases]) -> None:
         )
 
 
-def _gives_recordings(simulator: Any, all_cases: Sequence[Cases]) -> None:
+def _check_recordings(simulator: Any, all_cases: Sequence[Cases]) -> None:
     for cases in all_cases:
         for recording in cases.run(simulator):
             assert recording.time[0] == 0.0, f"A recording begins at {recording.time[0]:g} s instead of 0."
@@ -154,7 +154,7 @@ def _gives_recordings(simulator: Any, all_cases: Sequence[Cases]) -> None:
             assert not missing, f"A recording lacks the entities {', '.join(missing)}."
 
 
-def _keeps_order(simulator: Any, all_cases: Sequence[Cases]) -> None:
+def _check_scenario_order(simulator: Any, all_cases: Sequence[Cases]) -> None:
     for cases in all_cases:
         rows = range(len(cases.concretes))
         for first, second in zip(cases.run(simulator), cases.run(simulator, rows[::-1])[::-1], strict=True):
@@ -165,13 +165,13 @@ def _keeps_order(simulator: Any, all_cases: Sequence[Cases]) -> None:
             assert distance < _TOLERANCE, f"In another order of the scenarios, an entity is {distance:.2f} m elsewhere."
 
 
-def _records_units(simulator: Any, all_cases: Sequence[Cases]) -> None:
+def _check_recorded_units(simulator: Any, all_cases: Sequence[Cases]) -> None:
     for cases in all_cases:
         for recording in cases.run(simulator):
-            _check_units(recording)
+            _check_units_of_recording(recording)
 
 
-def _check_units(recording: Recording) -> None:
+def _check_units_of_recording(recording: Recording) -> None:
     step = np.diff(recording.time)
     for e, name in enumerate(recording.names):
         moved_x, moved_y = np.diff(recording.x[e]), np.diff(recording.y[e])
@@ -190,13 +190,15 @@ def _check_units(recording: Recording) -> None:
             )
 
 
-def _agrees(simulator: Any, _: Sequence[Cases], name: str, on_run: Callable[[SmallRun], None] | None = None) -> None:
+def _check_agreement(
+    simulator: Any, _: Sequence[Cases], name: str, on_run: Callable[[SmallRun], None] | None = None
+) -> None:
     with TemporaryDirectory() as folder:
         run = run_small_scenario(simulator, name, write_small_scenarios(Path(folder), name)[name])
-    _report(run, on_run)
+    _require_no_problem(run, on_run)
 
 
-def _survives(simulator: Any, all_cases: Sequence[Cases]) -> None:
+def _check_run_after_failure(simulator: Any, all_cases: Sequence[Cases]) -> None:
     cases = all_cases[0]
     concrete = cases.concretes[0]
     number = concrete.load_file().root.find("ParameterDeclarations/ParameterDeclaration[@parameterType='double']")
@@ -214,7 +216,7 @@ def _survives(simulator: Any, all_cases: Sequence[Cases]) -> None:
     assert isinstance(second, Recording), f"The scenario after a failed one fails, too: {second}."
 
 
-def _repeats(simulator: Any, all_cases: Sequence[Cases]) -> None:
+def _check_determinism(simulator: Any, all_cases: Sequence[Cases]) -> None:
     for cases in all_cases:
         for first, second in zip(cases.run(simulator), cases.run(simulator), strict=True):
             assert are_bitwise_equal(first, second), (
@@ -222,14 +224,14 @@ def _repeats(simulator: Any, all_cases: Sequence[Cases]) -> None:
             )
 
 
-def _is_independent(simulator: Any, all_cases: Sequence[Cases]) -> None:
+def _check_batch_independence(simulator: Any, all_cases: Sequence[Cases]) -> None:
     for cases in all_cases:
         together, alone = cases.run(simulator), cases.run(simulator, [0])
         assert are_bitwise_equal(together[0], alone[0]), "Alone, a scenario differs from the one in a batch."
 
 
-def _survives_crash(
-    simulator: Any, all_cases: Sequence[Cases], on_crash: Callable[[CrashRun], None] | None = None
+def _check_crash_recovery(
+    simulator: Any, all_cases: Sequence[Cases], on_crash: Callable[[CrashResult], None] | None = None
 ) -> None:
     if not isinstance(simulator, str):
         raise NotTriedError("A simulator object runs in this process, which cannot be killed; give the name instead.")
@@ -242,7 +244,7 @@ def _survives_crash(
     assert run.spread < _TOLERANCE, f"After a crash, an entity is {run.spread:.2f} m elsewhere."
 
 
-def _agrees_with_function(
+def _check_agreement_when_driven(
     simulator: Any, _: Sequence[Cases], name: str, on_run: Callable[[SmallRun], None] | None = None
 ) -> None:
     declared = SIMULATORS.get_class(simulator)
@@ -251,10 +253,10 @@ def _agrees_with_function(
     with TemporaryDirectory() as folder:
         concrete = write_small_scenarios(Path(folder), name)[name]
         run = run_small_scenario(simulator, name, concrete, agent=_OWN_FUNCTION, drivers={"Ego": CarFollowing()})
-    _report(run, on_run)
+    _require_no_problem(run, on_run)
 
 
-def _is_driven(
+def _check_agent_run(
     simulator: Any,
     _: Sequence[Cases],
     name: str,
@@ -265,10 +267,10 @@ def _is_driven(
     with TemporaryDirectory() as folder:
         concrete = write_small_scenarios(Path(folder), name)[name]
         run = run_with_agent(simulator, name, concrete, agent, options)
-    _report(run, on_run)
+    _require_no_problem(run, on_run)
 
 
-def _report(run: SmallRun, on_run: Callable[[SmallRun], None] | None) -> None:
+def _require_no_problem(run: SmallRun, on_run: Callable[[SmallRun], None] | None) -> None:
     if on_run is not None:
         on_run(run)
     assert not run.problem, run.problem

@@ -51,12 +51,12 @@ def write_small_scenarios(folder: Path, *names: str) -> dict[str, ConcreteScenar
         if not (folder / road.name).exists():
             shutil.copyfile(road, folder / road.name)
         path = folder / f"{number:02} {scenario.name}.xosc".replace(" ", "_")
-        path.write_text(_document(scenario, road.name), encoding="utf-8")
+        path.write_text(_format_small_scenario(scenario, road.name), encoding="utf-8")
         concretes[scenario.name] = ConcreteScenario(path, {})
     return concretes
 
 
-def _document(scenario: SmallScenario, road: str) -> str:
+def _format_small_scenario(scenario: SmallScenario, road: str) -> str:
     init = "".join(
         f'<Private entityRef="{entity}">{"".join(f"<PrivateAction>{action}</PrivateAction>" for action in actions)}'
         "</Private>"
@@ -64,7 +64,8 @@ def _document(scenario: SmallScenario, road: str) -> str:
     )
     events = "".join(scenario.events)
     story = (
-        f'<Story name="story"><Act name="act">{events}<StartTrigger>{_at_time(0.0)}</StartTrigger></Act></Story>'
+        f'<Story name="story"><Act name="act">{events}<StartTrigger>{_format_time_condition(0.0)}</StartTrigger>'
+        "</Act></Story>"
         if events
         else ""
     )
@@ -75,12 +76,12 @@ def _document(scenario: SmallScenario, road: str) -> str:
 <RoadNetwork><LogicFile filepath="{road}"/></RoadNetwork>
 <Entities>{"".join(_ENTITIES[kind](name) for name, kind in scenario.entities.items())}</Entities>
 <Storyboard><Init><Actions>{init}</Actions></Init>{story}
-<StopTrigger>{_at_time(scenario.duration)}</StopTrigger></Storyboard>
+<StopTrigger>{_format_time_condition(scenario.duration)}</StopTrigger></Storyboard>
 </OpenSCENARIO>
 """
 
 
-def _vehicle(name: str, length: float, width: float, center: float) -> str:
+def _format_vehicle(name: str, length: float, width: float, center: float) -> str:
     return f"""<ScenarioObject name="{name}"><Vehicle name="{name}" vehicleCategory="car"><ParameterDeclarations/>
 <BoundingBox><Center x="{center}" y="0" z="0.75"/>
 <Dimensions width="{width}" length="{length}" height="1.5"/></BoundingBox>
@@ -90,7 +91,7 @@ def _vehicle(name: str, length: float, width: float, center: float) -> str:
 <Properties/></Vehicle></ScenarioObject>"""
 
 
-def _walker(name: str) -> str:
+def _format_walker(name: str) -> str:
     return f"""<ScenarioObject name="{name}">
 <Pedestrian name="{name}" model="walker" mass="75" pedestrianCategory="pedestrian"><ParameterDeclarations/>
 <BoundingBox><Center x="0" y="0" z="0.9"/><Dimensions width="0.6" length="0.4" height="1.8"/></BoundingBox>
@@ -98,36 +99,36 @@ def _walker(name: str) -> str:
 
 
 _ENTITIES: Final[Mapping[str, Callable[[str], str]]] = {
-    "car": partial(_vehicle, length=4.5, width=1.8, center=1.4),
-    "van": partial(_vehicle, length=6.0, width=2.1, center=1.9),
-    "walker": _walker,
+    "car": partial(_format_vehicle, length=4.5, width=1.8, center=1.4),
+    "van": partial(_format_vehicle, length=6.0, width=2.1, center=1.9),
+    "walker": _format_walker,
 }
 
 
-def _teleport(x: float, y: float, heading: float = 0.0) -> str:
-    return f"<TeleportAction><Position>{_world(x, y, heading)}</Position></TeleportAction>"
+def _format_teleport_action(x: float, y: float, heading: float = 0.0) -> str:
+    return f"<TeleportAction><Position>{_format_world_position(x, y, heading)}</Position></TeleportAction>"
 
 
-def _world(x: float, y: float, heading: float = 0.0) -> str:
+def _format_world_position(x: float, y: float, heading: float = 0.0) -> str:
     return f'<WorldPosition x="{x}" y="{y}" z="0" h="{heading}" p="0" r="0"/>'
 
 
-def _speed(value: float, shape: str = "step", seconds: float = 0.0) -> str:
+def _format_speed_action(value: float, shape: str = "step", seconds: float = 0.0) -> str:
     return f"""<LongitudinalAction><SpeedAction>
 <SpeedActionDynamics dynamicsShape="{shape}" value="{seconds}" dynamicsDimension="time"/>
 <SpeedActionTarget><AbsoluteTargetSpeed value="{value}"/></SpeedActionTarget></SpeedAction></LongitudinalAction>"""
 
 
-def _lane_change(lane: int, seconds: float) -> str:
+def _format_lane_change(lane: int, seconds: float) -> str:
     return f"""<LateralAction><LaneChangeAction>
 <LaneChangeActionDynamics dynamicsShape="sinusoidal" value="{seconds}" dynamicsDimension="time"/>
 <LaneChangeTarget><AbsoluteTargetLane value="{lane}"/></LaneChangeTarget></LaneChangeAction></LateralAction>"""
 
 
-def _trajectory(vertices: Sequence[tuple[float, float, float, float]], *, has_times: bool = True) -> str:
+def _format_trajectory_action(vertices: Sequence[tuple[float, float, float, float]], *, has_times: bool = True) -> str:
     """Return the XML of an action along a trajectory; a vertex has time in s, x and y in m, and heading in rad."""
     points = "".join(
-        f'<Vertex time="{time}"><Position>{_world(x, y, heading)}</Position></Vertex>'
+        f'<Vertex time="{time}"><Position>{_format_world_position(x, y, heading)}</Position></Vertex>'
         for time, x, y, heading in vertices
     )
     timing = '<Timing domainAbsoluteRelative="relative" scale="1" offset="0"/>' if has_times else "<None/>"
@@ -137,18 +138,20 @@ def _trajectory(vertices: Sequence[tuple[float, float, float, float]], *, has_ti
 </FollowTrajectoryAction></RoutingAction>"""
 
 
-def _route(x: float, y: float) -> str:
-    return f"""<RoutingAction><AcquirePositionAction><Position>{_world(x, y)}</Position></AcquirePositionAction>
+def _format_route_action(x: float, y: float) -> str:
+    position = _format_world_position(x, y)
+    return f"""<RoutingAction><AcquirePositionAction><Position>{position}</Position></AcquirePositionAction>
 </RoutingAction>"""
 
 
-def _synchronize(master: str, own: tuple[float, float], target: tuple[float, float]) -> str:
+def _format_synchronize_action(master: str, own: tuple[float, float], target: tuple[float, float]) -> str:
+    of_master, of_own = _format_world_position(*target), _format_world_position(*own)
     return f"""<SynchronizeAction masterEntityRef="{master}">
-<TargetPositionMaster>{_world(*target)}</TargetPositionMaster><TargetPosition>{_world(*own)}</TargetPosition>
+<TargetPositionMaster>{of_master}</TargetPositionMaster><TargetPosition>{of_own}</TargetPosition>
 </SynchronizeAction>"""
 
 
-def _event(entity: str, action: str, condition: str) -> str:
+def _format_story_event(entity: str, action: str, condition: str) -> str:
     name = f"{entity} {len(action)} {len(condition)}"
     return f"""<ManeuverGroup name="group of {name}" maximumExecutionCount="1">
 <Actors selectTriggeringEntities="false"><EntityRef entityRef="{entity}"/></Actors>
@@ -157,12 +160,12 @@ def _event(entity: str, action: str, condition: str) -> str:
 <PrivateAction>{action}</PrivateAction></Action><StartTrigger>{condition}</StartTrigger></Event></Maneuver></ManeuverGroup>"""
 
 
-def _at_time(seconds: float) -> str:
+def _format_time_condition(seconds: float) -> str:
     return f"""<ConditionGroup><Condition name="time" delay="0" conditionEdge="none"><ByValueCondition>
 <SimulationTimeCondition value="{seconds}" rule="greaterThan"/></ByValueCondition></Condition></ConditionGroup>"""
 
 
-def _near(entity: str, other: str, distance: float) -> str:
+def _format_distance_condition(entity: str, other: str, distance: float) -> str:
     return f"""<ConditionGroup><Condition name="near" delay="0" conditionEdge="none"><ByEntityCondition>
 <TriggeringEntities triggeringEntitiesRule="any"><EntityRef entityRef="{entity}"/></TriggeringEntities>
 <EntityCondition><RelativeDistanceCondition entityRef="{other}" relativeDistanceType="cartesianDistance"
@@ -171,36 +174,46 @@ value="{distance}" freespace="false" rule="lessThan"/></EntityCondition>
 
 
 _SMALL_SCENARIOS: Final = (
-    SmallScenario("constant speed", _MOTORWAY, {"Ego": "car"}, {"Ego": [_teleport(100, LANE_Y), _speed(20)]}, [], 6.0),
+    SmallScenario(
+        "constant speed",
+        _MOTORWAY,
+        {"Ego": "car"},
+        {"Ego": [_format_teleport_action(100, LANE_Y), _format_speed_action(20)]},
+        [],
+        6.0,
+    ),
     SmallScenario(
         "braking to a stop",
         _MOTORWAY,
         {"Ego": "car"},
-        {"Ego": [_teleport(100, LANE_Y), _speed(20)]},
-        [_event("Ego", _speed(0, "linear", 4.0), _at_time(1.0))],
+        {"Ego": [_format_teleport_action(100, LANE_Y), _format_speed_action(20)]},
+        [_format_story_event("Ego", _format_speed_action(0, "linear", 4.0), _format_time_condition(1.0))],
         7.0,
     ),
     SmallScenario(
         "smooth change of speed",
         _MOTORWAY,
         {"Ego": "car"},
-        {"Ego": [_teleport(100, LANE_Y), _speed(10)]},
-        [_event("Ego", _speed(25, "sinusoidal", 5.0), _at_time(0.5))],
+        {"Ego": [_format_teleport_action(100, LANE_Y), _format_speed_action(10)]},
+        [_format_story_event("Ego", _format_speed_action(25, "sinusoidal", 5.0), _format_time_condition(0.5))],
         7.0,
     ),
     SmallScenario(
         "lane change",
         _MOTORWAY,
         {"Ego": "car"},
-        {"Ego": [_teleport(100, LANE_Y), _speed(20)]},
-        [_event("Ego", _lane_change(-1, 4.0), _at_time(1.0))],
+        {"Ego": [_format_teleport_action(100, LANE_Y), _format_speed_action(20)]},
+        [_format_story_event("Ego", _format_lane_change(-1, 4.0), _format_time_condition(1.0))],
         7.0,
     ),
     SmallScenario(
         "two that pass each other",
         _MOTORWAY,
         {"Ego": "car", "T00": "van"},
-        {"Ego": [_teleport(100, LANE_Y), _speed(25)], "T00": [_teleport(140, -1.75), _speed(15)]},
+        {
+            "Ego": [_format_teleport_action(100, LANE_Y), _format_speed_action(25)],
+            "T00": [_format_teleport_action(140, -1.75), _format_speed_action(15)],
+        },
         [],
         8.0,
     ),
@@ -208,10 +221,17 @@ _SMALL_SCENARIOS: Final = (
         "a leader that brakes when the ego is near",
         _MOTORWAY,
         {"Ego": "car", "T00": "van"},
-        {"Ego": [_teleport(100, LANE_Y), _speed(20)], "T00": [_teleport(200, LANE_Y), _speed(10)]},
+        {
+            "Ego": [_format_teleport_action(100, LANE_Y), _format_speed_action(20)],
+            "T00": [_format_teleport_action(200, LANE_Y), _format_speed_action(10)],
+        },
         [
-            _event("T00", _speed(5, "linear", 2.0), _near("Ego", "T00", 60.0)),
-            _event("Ego", _speed(5, "linear", 3.0), _near("Ego", "T00", 50.0)),
+            _format_story_event(
+                "T00", _format_speed_action(5, "linear", 2.0), _format_distance_condition("Ego", "T00", 60.0)
+            ),
+            _format_story_event(
+                "Ego", _format_speed_action(5, "linear", 3.0), _format_distance_condition("Ego", "T00", 50.0)
+            ),
         ],
         9.0,
     ),
@@ -219,12 +239,15 @@ _SMALL_SCENARIOS: Final = (
         "a trajectory with times",
         _CROSSING,
         {"Ego": "car", "T00": "walker"},
-        {"Ego": [_teleport(-40, -1.75), _speed(8)], "T00": [_teleport(18, 4.6, -1.5708)]},
+        {
+            "Ego": [_format_teleport_action(-40, -1.75), _format_speed_action(8)],
+            "T00": [_format_teleport_action(18, 4.6, -1.5708)],
+        },
         [
-            _event(
+            _format_story_event(
                 "T00",
-                _trajectory([(0, 18, 4.6, -1.5708), (2, 18, 2.0, -1.5708), (5, 18, -5.0, -1.5708)]),
-                _at_time(0.5),
+                _format_trajectory_action([(0, 18, 4.6, -1.5708), (2, 18, 2.0, -1.5708), (5, 18, -5.0, -1.5708)]),
+                _format_time_condition(0.5),
             )
         ],
         5.0,
@@ -233,16 +256,16 @@ _SMALL_SCENARIOS: Final = (
         "a trajectory at the entity's own speed",
         _MOTORWAY,
         {"Ego": "car"},
-        {"Ego": [_teleport(100, LANE_Y), _speed(15)]},
+        {"Ego": [_format_teleport_action(100, LANE_Y), _format_speed_action(15)]},
         [
-            _event(
+            _format_story_event(
                 "Ego",
                 # It begins where the ego is then, since a jump may come a time step earlier or later.
-                _trajectory(
+                _format_trajectory_action(
                     [(0, 108.25, LANE_Y, 0), (0, 150, LANE_Y, 0), (0, 200, LANE_Y + 4.0, 0.08)],
                     has_times=False,
                 ),
-                _at_time(0.5),
+                _format_time_condition(0.5),
             )
         ],
         5.0,
@@ -251,7 +274,10 @@ _SMALL_SCENARIOS: Final = (
         "a standing van is hit from behind",
         _MOTORWAY,
         {"Ego": "car", "T00": "van"},
-        {"Ego": [_teleport(100, LANE_Y), _speed(15)], "T00": [_teleport(150, LANE_Y), _speed(0)]},
+        {
+            "Ego": [_format_teleport_action(100, LANE_Y), _format_speed_action(15)],
+            "T00": [_format_teleport_action(150, LANE_Y), _format_speed_action(0)],
+        },
         [],
         5.0,
     ),
@@ -259,12 +285,15 @@ _SMALL_SCENARIOS: Final = (
         "a walker is hit from the side",
         _MOTORWAY,
         {"Ego": "car", "T00": "walker"},
-        {"Ego": [_teleport(100, LANE_Y), _speed(10)], "T00": [_teleport(130, LANE_Y - 4.0, 1.5708)]},
+        {
+            "Ego": [_format_teleport_action(100, LANE_Y), _format_speed_action(10)],
+            "T00": [_format_teleport_action(130, LANE_Y - 4.0, 1.5708)],
+        },
         [
-            _event(
+            _format_story_event(
                 "T00",
-                _trajectory([(0, 130, LANE_Y - 4.0, 1.5708), (4, 130, LANE_Y + 4.0, 1.5708)]),
-                _at_time(0.5),
+                _format_trajectory_action([(0, 130, LANE_Y - 4.0, 1.5708), (4, 130, LANE_Y + 4.0, 1.5708)]),
+                _format_time_condition(0.5),
             )
         ],
         4.3,
@@ -273,18 +302,28 @@ _SMALL_SCENARIOS: Final = (
         "a stop 0.4 m behind a van",
         _MOTORWAY,
         {"Ego": "car", "T00": "van"},
-        {"Ego": [_teleport(100, LANE_Y), _speed(10)], "T00": [_teleport(130.4, LANE_Y), _speed(0)]},
+        {
+            "Ego": [_format_teleport_action(100, LANE_Y), _format_speed_action(10)],
+            "T00": [_format_teleport_action(130.4, LANE_Y), _format_speed_action(0)],
+        },
         # It goes about 5 m, and 20 m while it brakes; its front is 3.65 m ahead of its rear axle, the van's rear 1.1 m
         # behind its own.
-        [_event("Ego", _speed(0, "linear", 4.0), _at_time(0.5))],
+        [_format_story_event("Ego", _format_speed_action(0, "linear", 4.0), _format_time_condition(0.5))],
         6.0,
     ),
     SmallScenario(
         "an arrival at the same time",
         _CROSSING,
         {"Ego": "car", "T00": "van"},
-        {"Ego": [_teleport(-40, -1.75), _speed(9)], "T00": [_teleport(39.9, 1.75, 3.1416), _speed(4)]},
-        [_event("T00", _synchronize("Ego", (12.0, 1.75), (-10.0, -1.75)), _at_time(0.5))],
+        {
+            "Ego": [_format_teleport_action(-40, -1.75), _format_speed_action(9)],
+            "T00": [_format_teleport_action(39.9, 1.75, 3.1416), _format_speed_action(4)],
+        },
+        [
+            _format_story_event(
+                "T00", _format_synchronize_action("Ego", (12.0, 1.75), (-10.0, -1.75)), _format_time_condition(0.5)
+            )
+        ],
         5.0,
     ),
 )
@@ -297,7 +336,13 @@ _AGENT_SCENARIOS: Final[tuple[SmallScenario, ...]] = (
         "a free lane",
         _MOTORWAY,
         {"Ego": "car"},
-        {"Ego": [_teleport(100, LANE_Y), _speed(AGENT_SPEED), _route(400, LANE_Y)]},
+        {
+            "Ego": [
+                _format_teleport_action(100, LANE_Y),
+                _format_speed_action(AGENT_SPEED),
+                _format_route_action(400, LANE_Y),
+            ]
+        },
         [],
         6.0,
     ),
@@ -306,8 +351,12 @@ _AGENT_SCENARIOS: Final[tuple[SmallScenario, ...]] = (
         _MOTORWAY,
         {"Ego": "car", "T00": "van"},
         {
-            "Ego": [_teleport(100, LANE_Y), _speed(AGENT_SPEED), _route(400, LANE_Y)],
-            "T00": [_teleport(150, LANE_Y + _VAN_OFFSET), _speed(0)],
+            "Ego": [
+                _format_teleport_action(100, LANE_Y),
+                _format_speed_action(AGENT_SPEED),
+                _format_route_action(400, LANE_Y),
+            ],
+            "T00": [_format_teleport_action(150, LANE_Y + _VAN_OFFSET), _format_speed_action(0)],
         },
         [],
         12.0,

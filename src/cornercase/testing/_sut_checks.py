@@ -14,15 +14,15 @@ import numpy as np
 from cornercase._common.validation import repr_short
 from cornercase.drivers import Driver, SystemUnderTest
 from cornercase.drivers._compiled import is_compiled
-from cornercase.drivers._description import serialize_driver
 from cornercase.drivers._equipment import EquippedDriver
 from cornercase.drivers._resolve import check_drivers, driver_by_name, resolve_driver
+from cornercase.drivers._serialization import serialize_driver
 from cornercase.recordings import Recording
 from cornercase.recordings._compare import are_bitwise_equal
 from cornercase.simulators import Builtin
-from cornercase.testing._cases import Cases, default_cases, unlimited_cases
+from cornercase.testing._cases import Cases, default_cases, write_cases_without_limits
 from cornercase.testing._contract_check import ContractCheck
-from cornercase.testing._observed_function import ObservedFunction
+from cornercase.testing._request_recording_driver import RequestRecordingDriver
 
 _SETTINGS: Final[dict[str, Any]] = {"time_step": 0.05, "duration": 12.0}
 _SHORT: Final = 4.0
@@ -64,33 +64,35 @@ def sut_checks(system: str | SystemUnderTest | Driver, cases: Sequence[Cases] | 
     >>> [result.problem for result in run_checks(checks) if result.problem]  # doctest: +SKIP
     []
     """
-    subject = _Subject(system, cases if cases is not None else default_cases())
+    subject = _CheckedSystem(system, cases if cases is not None else default_cases())
     return [
-        ContractCheck("can be stored and sent to another process", subject.can_be_stored),
-        ContractCheck(_DRIVES, subject.drives),
+        ContractCheck("can be stored and sent to another process", subject.check_storage),
+        ContractCheck(_DRIVES, subject.check_driving),
         ContractCheck(
-            "decides what fits m/s² and rad (not seen: signs, units inside)", subject.keeps_units, needs=_DRIVES
+            "decides what fits m/s² and rad (not seen: signs, units inside)",
+            subject.check_requested_units,
+            needs=_DRIVES,
         ),
-        ContractCheck(_REPEATS, subject.repeats, needs=_DRIVES),
+        ContractCheck(_REPEATS, subject.check_repeated_run, needs=_DRIVES),
         # What differs between two equal runs differs in all of these, too.
-        ContractCheck("gives the same alone and among other scenarios", subject.is_independent, needs=_REPEATS),
-        ContractCheck("knows nothing of the time after", subject.is_causal, needs=_REPEATS),
-        ContractCheck("forgets the scenario before", subject.forgets, needs=_REPEATS),
-        ContractCheck("gives the same in two worker processes", subject.is_same_in_workers, needs=_REPEATS),
+        ContractCheck("gives the same alone and among other scenarios", subject.check_independence, needs=_REPEATS),
+        ContractCheck("knows nothing of the time after", subject.check_causality, needs=_REPEATS),
+        ContractCheck("forgets the scenario before", subject.check_reset, needs=_REPEATS),
+        ContractCheck("gives the same in two worker processes", subject.check_worker_processes, needs=_REPEATS),
     ]
 
 
-class _Subject:
+class _CheckedSystem:
     """System under test, and the scenarios in which it is checked."""
 
     def __init__(self, system: str | SystemUnderTest | Driver, cases: Sequence[Cases]) -> None:
         self._system, self._cases = system, cases
         self._drives: bool | None = None
 
-    def can_be_stored(self) -> None:
+    def check_storage(self) -> None:
         created = self._create()
         description = serialize_driver(created)
-        _require_plain(description)
+        _require_json_value(description)
         if not isinstance(self._system, str):
             sent = cloudpickle.loads(cloudpickle.dumps(created))
             assert serialize_driver(sent) == description, (
@@ -98,7 +100,7 @@ class _Subject:
                 f" {repr_short(description)}; look at what pickling leaves out, as in __getstate__ or __reduce__."
             )
 
-    def drives(self) -> None:
+    def check_driving(self) -> None:
         # Code that the user names runs in a separate process, which may crash.
         self._drives = False
         driver = resolve_driver(self._system) if isinstance(self._system, str) else self._create()
@@ -106,13 +108,13 @@ class _Subject:
             cases.run("builtin", drivers={cases.entity: driver}, **_SETTINGS)
         self._drives = True
 
-    def keeps_units(self) -> None:
+    def check_requested_units(self) -> None:
         self._require_driving()
         for cases in self._cases:
             self._run_observed(cases)
         # Limits in the file would hide what the system requests.
         with TemporaryDirectory() as folder:
-            cases = unlimited_cases(Path(folder))
+            cases = write_cases_without_limits(Path(folder))
             for recording in self._run_observed(cases):
                 e = recording.entity_index(cases.entity)
                 turns = np.abs(np.diff(np.unwrap(recording.heading[e])))
@@ -131,7 +133,7 @@ class _Subject:
         driver, observed = self._create(), None
         decides = driver.driver if isinstance(driver, EquippedDriver) else driver
         if not is_compiled(decides):
-            observed = ObservedFunction(decides)
+            observed = RequestRecordingDriver(decides)
             driver = (
                 EquippedDriver(observed, driver.sensors, driver.vehicle)
                 if isinstance(driver, EquippedDriver)
@@ -142,7 +144,7 @@ class _Subject:
             _require_feasible(observed)
         return recordings
 
-    def repeats(self) -> None:
+    def check_repeated_run(self) -> None:
         for cases in self._cases:
             _require_same(
                 self._run(cases),
@@ -152,7 +154,7 @@ class _Subject:
                 " of the class or the module",
             )
 
-    def is_independent(self) -> None:
+    def check_independence(self) -> None:
         for cases in self._cases:
             together = self._run(cases)
             last = len(together) - 1
@@ -163,7 +165,7 @@ class _Subject:
             _require_same(together[::-1], reverse, "In another order of the scenarios, one", shared)
             _require_same(together[:1], self._run(cases, [0]), "Alone, a scenario", shared)
 
-    def is_causal(self) -> None:
+    def check_causality(self) -> None:
         cases = self._cases[0]
         whole, started = self._run(cases), self._run(cases, duration=_SHORT)
         for k, (long, short) in enumerate(zip(whole, started, strict=True)):
@@ -173,7 +175,7 @@ class _Subject:
                 " outlives a run, as a variable of the class or the module, or a file."
             )
 
-    def forgets(self) -> None:
+    def check_reset(self) -> None:
         cases, other = self._cases[0], self._cases[-1]
         driver = self._create()
         before = self._run(cases, driver=driver)
@@ -185,7 +187,7 @@ class _Subject:
             "something that `start` does not set again: an attribute, or a variable of the class or the module",
         )
 
-    def is_same_in_workers(self) -> None:
+    def check_worker_processes(self) -> None:
         self._require_driving()
         cases = self._cases[0]
         driver = resolve_driver(self._system) if isinstance(self._system, str) else self._create()
@@ -207,7 +209,7 @@ class _Subject:
 
     def _require_driving(self) -> None:
         if self._drives is None:
-            self.drives()
+            self.check_driving()
         assert self._drives, "It was not checked, as it does not drive every scenario."
 
     def _run(
@@ -219,11 +221,11 @@ class _Subject:
         return cases.run(simulator, rows)
 
 
-def _require_plain(description: object) -> None:
+def _require_json_value(description: object) -> None:
     """Require that settings are plain JSON values, so that they are stored unchanged."""
     for name, value in description.items() if isinstance(description, Mapping) else ():
         if name == "settings":
-            _require_plain(value)
+            _require_json_value(value)
             continue
         try:
             is_plain = json.loads(json.dumps(value)) == value
@@ -235,7 +237,7 @@ def _require_plain(description: object) -> None:
         )
 
 
-def _require_feasible(observed: ObservedFunction) -> None:
+def _require_feasible(observed: RequestRecordingDriver) -> None:
     """Require that a vehicle can follow the strongest requests of a driver."""
     acceleration, steering, bound = observed.most_acceleration, observed.most_steering, observed.max_steering
     assert abs(acceleration.value) <= _MAX_REQUEST, (

@@ -65,7 +65,7 @@ def node_after_subtree(node):
 
 
 @kernel(error_model="numpy")
-def append_run(runs, count, step, other_step):
+def append_overlap_run(runs, count, step, other_step):
     """Begin a run of overlaps in row `count` of `runs`, and return the array; a full array is replaced by a longer one.
 
     A run says that `step` of one path overlaps `other_step` and the following steps of another path. The row is that

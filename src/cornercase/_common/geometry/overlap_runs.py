@@ -41,7 +41,7 @@ class OverlapRuns:
             mask[first : last + 1] = True
         return mask
 
-    def steps_overlapping(self, other_step: int) -> BoolArray:
+    def overlaps_of_other_step(self, other_step: int) -> BoolArray:
         """Return a mask, shape (n,), of the steps of the first path that overlap `other_step` of the second path."""
         mask = np.zeros(self.shape[0], dtype=np.bool_)
         mask[self.runs[(self.runs[:, 1] <= other_step) & (other_step <= self.runs[:, 2]), 0]] = True

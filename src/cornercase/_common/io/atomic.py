@@ -65,7 +65,7 @@ class AtomicWriteGroup:
             self._temporary_paths[path] = Path(name)
             os.close(handle)
         except OSError as error:
-            raise write_error(path, error) from error
+            raise unwritable_file_error(path, error) from error
         return self._temporary_paths[path]
 
     def commit(self) -> None:
@@ -204,7 +204,7 @@ def fsync_all(files: Iterable[Path], names: Iterable[Path]) -> None:
             pass
 
 
-def write_error(path: Path, error: OSError) -> InputError:
+def unwritable_file_error(path: Path, error: OSError) -> InputError:
     """Return the `InputError` that says that a file cannot be written, and why."""
     return InputError(
         f"{path}: cannot be written ({error.strerror or error}); choose another location or free some space."
@@ -216,4 +216,4 @@ def _convert_write_errors(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise write_error(path, error) from error
+        raise unwritable_file_error(path, error) from error

@@ -11,7 +11,12 @@ from pathlib import Path
 from typing import Any, Final
 
 from cornercase._common.errors import InputError
-from cornercase._common.io.atomic import SQLITE_SUFFIXES, atomic_write_group, current_or_new_group, write_error
+from cornercase._common.io.atomic import (
+    SQLITE_SUFFIXES,
+    atomic_write_group,
+    current_or_new_group,
+    unwritable_file_error,
+)
 from cornercase._common.validation import check_path as path_argument
 
 # Characters that Windows refuses or that control a terminal; device names; maximum length: file systems allow 255
@@ -26,12 +31,12 @@ MAX_FILE_SIZE: Final = 200_000_000
 """Size in bytes of the largest file that is read."""
 
 
-def portable_name(text: str) -> str:
+def make_portable_file_name(text: str) -> str:
     """Turn a text into a file name that is valid on every platform.
 
     It has at most 150 bytes, names no folder and does not begin with a dot.
 
-    >>> portable_name("criticality-ttc:accelerating=true")
+    >>> make_portable_file_name("criticality-ttc:accelerating=true")
     'criticality-ttc-accelerating=true'
     """
     name = _INVALID_CHARACTERS.sub("-", text).encode()[:_MAX_NAME_BYTES].decode(errors="ignore").rstrip(". ") or "-"
@@ -92,7 +97,7 @@ def atomic_write(path: Path | str) -> Iterator[Path]:
         try:
             yield temporary
         except OSError as error:
-            raise write_error(path, error) from error
+            raise unwritable_file_error(path, error) from error
 
 
 # Suffixes of SQLite's files, and of the lock file of earlier versions.
@@ -104,19 +109,19 @@ def check_output_differs_from_source(output: Path | str, source: Path | str, nam
     output, source = Path(output), Path(source)
     if output.exists() and source.exists() and output.samefile(source):
         raise InputError(f"`{name}` {output}: is the input file; choose another name.")
-    if _is_side_file(output, source):
+    if _is_sqlite_side_file(output, source):
         raise InputError(f"`{name}` {output}: is a file that SQLite keeps beside the input; choose another name.")
 
 
 def check_output_is_not_study(output: Path, study: Path, name: str) -> None:
     """Raise `InputError` if `output` is the study that is being written, or one of SQLite's files beside it."""
-    if os.path.realpath(output) == os.path.realpath(study) or _is_side_file(output, study):
+    if os.path.realpath(output) == os.path.realpath(study) or _is_sqlite_side_file(output, study):
         raise InputError(
             f"`{name}` {output}: is the study, or a file that SQLite keeps beside it; choose another name."
         )
 
 
-def _is_side_file(output: Path, database: Path) -> bool:
+def _is_sqlite_side_file(output: Path, database: Path) -> bool:
     # A circular link is left as it is; writing to it is refused later.
     database_path, output_path = os.path.realpath(database), os.path.realpath(output)
     return output_path in {database_path + ending for ending in _SIDE_FILE_SUFFIXES}
@@ -139,7 +144,7 @@ def write_files(contents: Mapping[Path, bytes]) -> None:
                 temporary.write_bytes(content)
 
 
-def check_folder(name: str, folder: Path | str) -> Path:
+def check_output_folder(name: str, folder: Path | str) -> Path:
     """Return the path of a folder; `InputError` if the folder cannot be made because a file has its name."""
     folder = path_argument(name, folder)
     for parent in (folder, *folder.parents):

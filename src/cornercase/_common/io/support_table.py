@@ -24,7 +24,7 @@ from cornercase._common.io.tracked_xml import (
     list_adaptations,
     requested_attributes,
 )
-from cornercase._common.text.source_lines import line_number
+from cornercase._common.text.element_locations import line_number
 
 # Further lines and parts are counted, not listed.
 _MAX_LINES: Final = 5
@@ -61,7 +61,7 @@ class SupportEntry:
     allowed_values: tuple[str, ...] = ()  # the only values accepted, if there are few
     affects_result: bool = True  # whether the result could depend on the part, or on whether it is read
 
-    def is_ignored(self, value: str) -> bool:
+    def needs_no_notice(self, value: str) -> bool:
         """Return whether an attribute with this value needs no notice, because the value changes nothing."""
         return any(ignored in ("*", value) or _is_same_number(value, ignored) for ignored in self.ignored_values)
 
@@ -148,7 +148,7 @@ def sort_notices(notices: Iterable[Notice]) -> tuple[Notice, ...]:
     )
 
 
-def adapted_notices(element: etree._Element, file: Path | str) -> tuple[Notice, ...]:
+def list_adaptation_notices(element: etree._Element, file: Path | str) -> tuple[Notice, ...]:
     """Return notices about parts of an XML element that violate the standard but could be read.
 
     Parts of its descendants and ancestors are included.
@@ -196,12 +196,12 @@ def issue_notice_warning(sentence: str) -> None:
             return
         issued.add(subject)
     level, frame = 1, sys._getframe()
-    while frame.f_back is not None and _is_inside(frame.f_globals.get("__name__", "")):
+    while frame.f_back is not None and _is_inside_cornercase(frame.f_globals.get("__name__", "")):
         level, frame = level + 1, frame.f_back
     warnings.warn(sentence, NoticeWarning, stacklevel=level)
 
 
-def _is_inside(module: str) -> bool:
+def _is_inside_cornercase(module: str) -> bool:
     """Return whether a module belongs to cornercase, or is contextlib, through which decorators of cornercase run."""
     return module.startswith("cornercase.") or module == "contextlib"
 
@@ -291,7 +291,7 @@ class SupportTable:
         entry = self.find_entry(path, name)
         if entry is None or value.startswith("$"):
             return None
-        if entry.status is SupportStatus.REFUSED and not entry.is_ignored(value):
+        if entry.status is SupportStatus.REFUSED and not entry.needs_no_notice(value):
             return f"cannot be used; {entry.note}."
         if entry.allowed_values and value not in entry.allowed_values:
             return f"cannot be used; {suggest_name(value, entry.allowed_values)}"
@@ -301,7 +301,7 @@ class SupportTable:
         entry = self.find_entry(path)
         return entry is not None and entry.status is not SupportStatus.USED
 
-    def unsupported_notices(
+    def list_unsupported_notices(
         self, element: etree._Element, file: Path | str, is_complete: bool = True
     ) -> tuple[Notice, ...]:
         """Return notices about parts of an element that are without effect, unknown or were not read.
@@ -323,12 +323,12 @@ class SupportTable:
             yield _describe_element(element, path), UNKNOWN_REASON, line, True
             return
         if entry.status is SupportStatus.WITHOUT_EFFECT:
-            if not entry.is_ignored(""):
+            if not entry.needs_no_notice(""):
                 yield f"<{path[-1]}>", entry.note, line, entry.affects_result
             return
         if entry.status is SupportStatus.REFUSED:
             return
-        if read and len(path) > 1 and not _is_anything_read(element) and not entry.is_ignored(""):
+        if read and len(path) > 1 and not _is_anything_read(element) and not entry.needs_no_notice(""):
             yield _describe_element(element, path), _unread_reason(entry), line, entry.affects_result
             return
         read_attributes = requested_attributes(element) if read else None
@@ -337,13 +337,13 @@ class SupportTable:
             if entry is None:
                 yield f"{name} of <{path[-1]}>", UNKNOWN_REASON, line, True
             elif entry.status is SupportStatus.WITHOUT_EFFECT:
-                if not entry.is_ignored(value):
+                if not entry.needs_no_notice(value):
                     yield f"{name} of <{path[-1]}>", entry.note, line, entry.affects_result
             elif (
                 entry.status is SupportStatus.USED
                 and read_attributes is not None
                 and name not in read_attributes
-                and not entry.is_ignored(value)
+                and not entry.needs_no_notice(value)
             ):
                 yield f"{name} of <{path[-1]}>", _unread_reason(entry), line, entry.affects_result
         for child in iter_children_untracked(element):

@@ -21,7 +21,7 @@ def kernel_digest(function: Callable[..., Any], options: dict[str, Any]) -> str:
     variable of an unsupported type.
     """
     digest = hashlib.sha256(repr(sorted(options.items())).encode())
-    for part in _DigestWalk().walk(function, frozenset()):
+    for part in _DependencyWalker().iter_bytes(function, frozenset()):
         digest.update(len(part).to_bytes(8, "little") + part)
     return digest.hexdigest()
 
@@ -31,13 +31,13 @@ def kernel_digest(function: Callable[..., Any], options: dict[str, Any]) -> str:
 _EXTERNAL_PACKAGES = sys.stdlib_module_names | {"numba", "numpy"}
 
 
-class _DigestWalk:
+class _DependencyWalker:
     """Walk through a function and everything that it uses; each function is visited once, as calls may be circular."""
 
     def __init__(self) -> None:
         self.seen: set[Any] = set()
 
-    def walk(self, value: Any, names: frozenset[str]) -> Iterator[bytes]:
+    def iter_bytes(self, value: Any, names: frozenset[str]) -> Iterator[bytes]:
         """Yield bytes that identify a value; of a module, only the attributes in `names` count."""
         if isinstance(value, Dispatcher):
             yield repr(sorted(value.targetoptions.items())).encode()
@@ -47,7 +47,7 @@ class _DigestWalk:
         elif isinstance(value, tuple):
             yield f"{type(value).__name__} {len(value)}".encode()
             for item in value:
-                yield from self.walk(item, names)
+                yield from self.iter_bytes(item, names)
         elif isinstance(value, np.ndarray):
             yield f"{value.dtype.str} {value.shape}".encode() + value.tobytes()
         elif isinstance(value, enum.EnumMeta):
@@ -71,7 +71,7 @@ class _DigestWalk:
     def _walk_names(self, namespace: dict[str, Any], names: frozenset[str]) -> Iterator[bytes]:
         for name in sorted(names & namespace.keys()):
             yield name.encode()
-            yield from self.walk(namespace[name], names)
+            yield from self.iter_bytes(namespace[name], names)
 
     def _walk_function(self, function: FunctionType) -> Iterator[bytes]:
         names: set[str] = set()

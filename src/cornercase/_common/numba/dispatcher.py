@@ -47,7 +47,7 @@ class KernelDispatcher(CPUDispatcher):
         """True if this process has compiled or loaded the kernel, alone or as a part of another kernel."""
         return bool(self.overloads or self._parts)
 
-    def is_ready(self, *args):
+    def has_machine_code(self, *args):
         """Return whether machine code exists in this process, or on disk for arguments of these types.
 
         The disk is searched only once for these types, because a search takes longer than a short interpreted call.
@@ -56,7 +56,7 @@ class KernelDispatcher(CPUDispatcher):
             return True
         if must_interpret():
             return False
-        kinds = tuple(map(_kind, args))
+        kinds = tuple(map(_argument_type_key, args))
         if kinds in self._missing:
             return False
         if self._cache.has_overload(tuple(map(self.typeof_pyval, args)), self.targetctx):
@@ -72,17 +72,17 @@ class KernelDispatcher(CPUDispatcher):
     def is_interpreted(self, *args):
         """Return whether a call with these arguments is interpreted."""
         estimate = self._estimate_seconds
-        return estimate is not None and can_interpret(estimate(*args)) and not self.is_ready(*args)
+        return estimate is not None and can_interpret(estimate(*args)) and not self.has_machine_code(*args)
 
     def compile_to_address(self, kinds, result):
         """Compile the kernel for argument types, or load its machine code; return its address."""
-        self.check_late_kinds(kinds)
+        self.check_address_types(kinds)
         self.compile(kinds)
         compiled = self.overloads[kinds]
         assert compiled.signature.return_type == result, (self, compiled.signature)
         return compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name)
 
-    def check_late_kinds(self, kinds):
+    def check_address_types(self, kinds):
         """Raise `TypeError` if calls at the kernel's address or its compilation differ in the types of arguments."""
         if self._late_kinds not in (None, kinds):
             raise TypeError(f"{self} is called with {kinds}, but also with {self._late_kinds}.")
@@ -114,7 +114,7 @@ class KernelDispatcher(CPUDispatcher):
         flags = compiler.Flags()
         self.targetdescr.options.parse_as_flags(flags, self.targetoptions)
         flags.no_compile = flags.no_cpython_wrapper = True
-        library = _PartLibrary(self.targetctx.codegen(), self.py_func.__qualname__)
+        library = _CalledKernelLibrary(self.targetctx.codegen(), self.py_func.__qualname__)
         part = compiler.compile_extra(
             self.typingctx, self.targetctx, self.py_func, args, None, flags, self.locals, library, _Compiler
         )
@@ -134,7 +134,7 @@ def _paused_garbage_collection() -> Iterator[None]:
             gc.enable()
 
 
-def _kind(value):
+def _argument_type_key(value):
     """Return a key for the type of an argument, faster than numba; types of the elements of a tuple are ignored."""
     if isinstance(value, np.ndarray):
         return value.dtype, value.ndim, value.flags.c_contiguous
@@ -145,7 +145,7 @@ def _interpret_call(kernel, *args):
     return interpret(kernel, args)
 
 
-class _PartLibrary(JITCodeLibrary):
+class _CalledKernelLibrary(JITCodeLibrary):
     """Intermediate code of a called kernel; it becomes machine code as a part of the calling kernel."""
 
     def finalize(self):
@@ -171,7 +171,7 @@ class _KernelLibrary(JITCodeLibrary):
 
     def finalize(self):
         own = set(_defined_names(self._final_module))
-        libraries = list(_with_parts(self._linking_libraries, set()))
+        libraries = list(_iter_linked_libraries(self._linking_libraries, set()))
         self._linking_libraries = []
         for library in libraries:
             self._reload_init.update(library._reload_init)
@@ -193,13 +193,13 @@ def _defined_names(module):
     return [function.name for function in module.functions if not function.is_declaration]
 
 
-def _with_parts(libraries, seen):
+def _iter_linked_libraries(libraries, seen):
     for library in libraries:
         if library not in seen:
             seen.add(library)
             yield library
-            if isinstance(library, _PartLibrary):
-                yield from _with_parts(library._linking_libraries, seen)
+            if isinstance(library, _CalledKernelLibrary):
+                yield from _iter_linked_libraries(library._linking_libraries, seen)
 
 
 class _Compiler(compiler.Compiler):

@@ -28,7 +28,7 @@ MAX_SECONDS: Final = 4.0
 """Longest time in s for which a process interprets kernels; compiling all kernels takes longer."""
 
 
-class _Clock:
+class _InterpreterState:
     """Seconds for which this process has interpreted kernels, and settings of when kernels are interpreted."""
 
     spent = 0.0  # s
@@ -42,40 +42,40 @@ def can_interpret(seconds: float, *, is_loop: bool = False) -> bool:
 
     `is_loop` is True for a kernel that does most of the work, such as the simulator's time loop.
     """
-    if _Clock.is_forced:
+    if _InterpreterState.is_forced:
         return True
-    is_stopped = _Clock.is_stopped or (is_loop and _Clock.is_stopped_for_loops)
-    return not is_stopped and _Clock.spent + seconds <= MAX_SECONDS
+    is_stopped = _InterpreterState.is_stopped or (is_loop and _InterpreterState.is_stopped_for_loops)
+    return not is_stopped and _InterpreterState.spent + seconds <= MAX_SECONDS
 
 
 @contextmanager
 def compile_at_once() -> Iterator[None]:
     """Within the block, compile kernels at their first call instead of interpreting them, because many calls follow."""
-    before, _Clock.is_stopped = _Clock.is_stopped, True
+    before, _InterpreterState.is_stopped = _InterpreterState.is_stopped, True
     try:
         yield
     finally:
-        _Clock.is_stopped = before
+        _InterpreterState.is_stopped = before
 
 
 @contextmanager
 def compile_loops_at_once() -> Iterator[None]:
     """Within the block, compile kernels that do most of the work at their first call, because many calls follow."""
-    before, _Clock.is_stopped_for_loops = _Clock.is_stopped_for_loops, True
+    before, _InterpreterState.is_stopped_for_loops = _InterpreterState.is_stopped_for_loops, True
     try:
         yield
     finally:
-        _Clock.is_stopped_for_loops = before
+        _InterpreterState.is_stopped_for_loops = before
 
 
-def are_all_compiled() -> bool:
+def must_compile_at_once() -> bool:
     """Return whether every kernel is compiled at its first call, as in `warm-up`; see `compile_at_once`."""
-    return _Clock.is_stopped
+    return _InterpreterState.is_stopped
 
 
 def must_interpret() -> bool:
     """Return whether kernels are interpreted even if machine code is on disk; see `interpret_always`."""
-    return _Clock.is_forced
+    return _InterpreterState.is_forced
 
 
 @contextmanager
@@ -84,11 +84,11 @@ def interpret_always() -> Iterator[None]:
 
     Kernels without `interpreted_seconds`, and those that this process has already compiled, still run as machine code.
     """
-    before, _Clock.is_forced = _Clock.is_forced, True
+    before, _InterpreterState.is_forced = _InterpreterState.is_forced, True
     try:
         yield
     finally:
-        _Clock.is_forced = before
+        _InterpreterState.is_forced = before
 
 
 def interpret(kernel: Any, args: tuple[Any, ...]) -> Any:
@@ -96,21 +96,23 @@ def interpret(kernel: Any, args: tuple[Any, ...]) -> Any:
     start = time.thread_time()
     with np.errstate(all="ignore"):
         result = _interpreted_function(kernel.py_func)(*args)
-    _Clock.spent += time.thread_time() - start
+    _InterpreterState.spent += time.thread_time() - start
     return result
 
 
 @cache
 def _interpreted_function(function: FunctionType) -> FunctionType:
     path = function.__code__.co_filename
-    code = _codes_of_file(path)[function.__name__, function.__code__.co_firstlineno]
-    return FunctionType(code, _Globals.from_module(function.__globals__), function.__name__, function.__defaults__)
+    code = _compile_file_functions(path)[function.__name__, function.__code__.co_firstlineno]
+    return FunctionType(
+        code, _InterpretedGlobals.from_module(function.__globals__), function.__name__, function.__defaults__
+    )
 
 
 @cache
-def _codes_of_file(path: str) -> dict[tuple[str, int], CodeType]:
-    """Return the code of all functions of a file by name and first line, with operators replaced by `_Division`."""
-    tree = ast.fix_missing_locations(_Division().visit(ast.parse(Path(path).read_text("utf-8"))))
+def _compile_file_functions(path: str) -> dict[tuple[str, int], CodeType]:
+    """Return the code of all functions of a file by name and first line, with replaced operators."""
+    tree = ast.fix_missing_locations(_OperatorReplacer().visit(ast.parse(Path(path).read_text("utf-8"))))
     return {(code.co_name, code.co_firstlineno): code for code in _nested_codes(compile(tree, path, "exec"))}
 
 
@@ -121,7 +123,7 @@ def _nested_codes(code: CodeType) -> Iterator[CodeType]:
             yield from _nested_codes(constant)
 
 
-class _Division(ast.NodeTransformer):
+class _OperatorReplacer(ast.NodeTransformer):
     """Syntax-tree transformer that replaces operators whose results differ in compiled code: divisions and powers."""
 
     functions: Final = {ast.Div: "_divide", ast.FloorDiv: "_floor_divide", ast.Mod: "_remainder", ast.Pow: "_power"}
@@ -143,7 +145,7 @@ class _Division(ast.NodeTransformer):
         return ast.copy_location(ast.Assign([node.target], value), node)
 
 
-def _without_exceptions(compute: Callable[..., Any]) -> Callable[..., Any]:
+def _return_nan_on_error(compute: Callable[..., Any]) -> Callable[..., Any]:
     """Wrap a function of floats so that it returns NaN where Python raises an exception, as compiled code does."""
 
     def run(*args: Any) -> Any:
@@ -199,7 +201,7 @@ def _power(a: Any, exponent: Any) -> Any:
     return 1.0 / result if exponent < 0 else result
 
 
-def _integer(value: Any) -> int:
+def _convert_to_int64(value: Any) -> int:
     """Convert a value to an integer; a float beyond 64 bits gives the same integer as in compiled code."""
     try:
         result = int(value)
@@ -211,54 +213,54 @@ def _integer(value: Any) -> int:
 # Python's own hypot rounds differently from the hypot of the C library.
 _MATH: Final = SimpleNamespace(**vars(math))
 for _name in ("acos", "asin", "atan", "atan2", "cos", "exp", "fmod", "log", "sin", "sqrt", "tan"):
-    setattr(_MATH, _name, _without_exceptions(getattr(math, _name)))
+    setattr(_MATH, _name, _return_nan_on_error(getattr(math, _name)))
 _MATH.hypot = np.hypot
-_MATH.floor, _MATH.ceil = lambda x: _integer(np.floor(x)), lambda x: _integer(np.ceil(x))
+_MATH.floor, _MATH.ceil = lambda x: _convert_to_int64(np.floor(x)), lambda x: _convert_to_int64(np.ceil(x))
 
 
-def _array_at(kind: Any) -> Callable[[int, int], npt.NDArray[Any]]:
+def _make_array_at_address(kind: Any) -> Callable[[int, int], npt.NDArray[Any]]:
     def array(address: int, count: int) -> npt.NDArray[Any]:
         return np.ctypeslib.as_array((kind * int(count)).from_address(int(address)))
 
     return array
 
 
-def _call(kernel: Callable[..., Any], _: int, arguments: tuple[Any, ...]) -> Any:
+def _call_without_address(kernel: Callable[..., Any], _: int, arguments: tuple[Any, ...]) -> Any:
     return kernel(*arguments)
 
 
 _REPLACED: Final[dict[Any, Any]] = {
     math: _MATH,
-    pointers.floats_at_address: _array_at(ctypes.c_double),
-    pointers.ints_at_address: _array_at(ctypes.c_int64),
-    pointers.bools_at_address: _array_at(ctypes.c_bool),
-    pointers.call_for_int: _call,
-    pointers.call_for_float: _call,
-    pointers.call_for_bool: _call,
+    pointers.floats_at_address: _make_array_at_address(ctypes.c_double),
+    pointers.ints_at_address: _make_array_at_address(ctypes.c_int64),
+    pointers.bools_at_address: _make_array_at_address(ctypes.c_bool),
+    pointers.call_for_int: _call_without_address,
+    pointers.call_for_float: _call_without_address,
+    pointers.call_for_bool: _call_without_address,
     tuple_pointers.reference_to: lambda table: table,
 }
 
 
-def _replaced(value: Any) -> Any:
+def _find_replacement(value: Any) -> Any:
     """Return the object that interpreted code uses in place of a global value."""
     if isinstance(value, Dispatcher):
         return _interpreted_function(value.py_func)
     if isinstance(value, ModuleType) and value.__name__.startswith("cornercase."):
-        return _Module(value)
+        return _InterpretedModule(value)
     try:
         return _REPLACED.get(value, value)
     except TypeError:
         return value
 
 
-class _Module:
+class _InterpretedModule:
     """Stand-in for a module in interpreted code; kernels of the module are interpreted, too."""
 
     def __init__(self, module: ModuleType) -> None:
         self._module = module
 
     def __getattr__(self, name: str) -> Any:
-        value = _replaced(getattr(self._module, name))
+        value = _find_replacement(getattr(self._module, name))
         setattr(self, name, value)
         return value
 
@@ -268,17 +270,17 @@ _OPERATORS: Final = {
     "_floor_divide": _floor_divide,
     "_remainder": _remainder,
     "_power": _power,
-    "int": _integer,
+    "int": _convert_to_int64,
 }
 
 
-class _Globals(dict[str, Any]):
+class _InterpretedGlobals(dict[str, Any]):
     """Global variables of a module for interpreted code."""
 
-    modules: Final[dict[int, _Globals]] = {}
+    modules: Final[dict[int, _InterpretedGlobals]] = {}
 
     @classmethod
-    def from_module(cls, namespace: dict[str, Any]) -> _Globals:
+    def from_module(cls, namespace: dict[str, Any]) -> _InterpretedGlobals:
         """Return the global variables for the functions of a module; they are made once per module."""
         made = cls.modules.get(id(namespace))
         if made is None:
@@ -286,5 +288,5 @@ class _Globals(dict[str, Any]):
             made["__builtins__"] = namespace["__builtins__"]
             # Kernels may call one another in a circle of modules.
             for name, value in namespace.items():
-                made.setdefault(name, _replaced(value))
+                made.setdefault(name, _find_replacement(value))
         return made

@@ -60,9 +60,9 @@ def bools_at_address(context, address, count):
     return _array_intrinsic(context, address, count, types.boolean)
 
 
-def _late_call(kernel, arguments, result):
+def _make_address_call(kernel, arguments, result):
     kinds = tuple(map(types.unliteral, arguments.types))
-    kernel.dispatcher.check_late_kinds(kinds)
+    kernel.dispatcher.check_address_types(kinds)
 
     def emit_call(context, builder, signature, values):
         with cgutils.if_unlikely(builder, cgutils.is_null(builder, values[1])):
@@ -81,16 +81,16 @@ def _late_call(kernel, arguments, result):
 @intrinsic
 def call_for_int(context, kernel, address, arguments):
     """Call the kernel at an address with a tuple of arguments, and return its integer result."""
-    return _late_call(kernel, arguments, types.int64)
+    return _make_address_call(kernel, arguments, types.int64)
 
 
 @intrinsic
 def call_for_float(context, kernel, address, arguments):
     """Call the kernel at an address with a tuple of arguments, and return its float result."""
-    return _late_call(kernel, arguments, types.float64)
+    return _make_address_call(kernel, arguments, types.float64)
 
 
 @intrinsic
 def call_for_bool(context, kernel, address, arguments):
     """Call the kernel at an address with a tuple of arguments, and return its Boolean result."""
-    return _late_call(kernel, arguments, types.boolean)
+    return _make_address_call(kernel, arguments, types.boolean)

@@ -44,7 +44,7 @@ SHIP_VARIABLE: Final = "CORNERCASE_SHIP"
 """Environment variable with the folder that machine code is also written to while a wheel is built."""
 
 
-def runnable_levels() -> list[str]:
+def list_runnable_cpu_levels() -> list[str]:
     """Return the processor levels that this machine can run, the highest first."""
     machine = platform.machine().lower()
     levels = LEVELS.get({"amd64": "x86_64", "aarch64": "arm64"}.get(machine, machine), {})
@@ -54,11 +54,11 @@ def runnable_levels() -> list[str]:
 
 
 @cache
-def _folder() -> Path | None:
+def _find_shipped_folder() -> Path | None:
     """Return the folder with the machine code of the highest level that this machine can run; None if there is none."""
     if SHIP_VARIABLE in os.environ or not FOLDER.is_dir():
         return None
-    return next((FOLDER / level for level in runnable_levels() if (FOLDER / level).is_dir()), None)
+    return next((FOLDER / level for level in list_runnable_cpu_levels() if (FOLDER / level).is_dir()), None)
 
 
 class ShippedCode:
@@ -91,7 +91,7 @@ class ShippedCode:
             Path(folder, self._file_name(source_digest, signature)).write_bytes(dumps(result._reduce()))
 
     def _path(self, source_digest: str, signature: Any) -> Path | None:
-        folder = _folder()
+        folder = _find_shipped_folder()
         return None if folder is None else folder / self._file_name(source_digest, signature)
 
     def _file_name(self, source_digest: str, signature: Any) -> str:

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any, Final
 from weakref import WeakKeyDictionary
 
 from cornercase._common.errors import InputError
-from cornercase._common.extras import describe_install
 from cornercase._common.io.files import read_file
+from cornercase._common.optional_packages import describe_install
 from cornercase._common.platform import block_interrupts
 from cornercase._common.process.parent_death import set_temporary_folder
 from cornercase._common.process.reaper import Reaper
@@ -289,7 +289,7 @@ def _workers_with_resource(client: Client, resource: str | None) -> list[dict[st
     return [worker for worker in workers if resource is None or worker["resources"].get(resource, 0.0) >= 1.0]
 
 
-def wait_any(
+def wait_for_any_task(
     client: Client, futures: Collection[Future[Any]], resource: str | None = None, timeout: float = WORKER_TIMEOUT
 ) -> list[Future[Any]]:
     """Wait until at least one task has ended, and return all ended tasks.

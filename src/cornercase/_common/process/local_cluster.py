@@ -11,7 +11,7 @@ from distributed.worker_memory import parse_memory_limit
 
 from cornercase._common.current_folder import isolate_children
 from cornercase._common.errors import InputError
-from cornercase._common.extras import describe_install
+from cornercase._common.optional_packages import describe_install
 from cornercase._common.process.reaper import Reaper
 
 _HOST: Final = "127.0.0.1"

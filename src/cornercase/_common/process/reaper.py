@@ -62,11 +62,11 @@ class Reaper:
 
     def watch_process(self, process_id: int) -> None:
         """End a process and its children when this process dies."""
-        self._send("process", str(process_id), is_guarded=True)
+        self._set_guarded("process", str(process_id), is_guarded=True)
 
     def release_process(self, process_id: int) -> None:
         """Stop watching a process that has ended."""
-        self._send("process", str(process_id), is_guarded=False)
+        self._set_guarded("process", str(process_id), is_guarded=False)
 
     @contextmanager
     def watch_new_processes(self) -> Iterator[None]:
@@ -74,7 +74,7 @@ class Reaper:
 
         They are ended when this process dies. Blocks may overlap.
         """
-        self._send("mark", self._mark, is_guarded=True)
+        self._set_guarded("mark", self._mark, is_guarded=True)
         # Processes inherit the mark, even if their parent dies.
         self._update_environment_mark(1)
         try:
@@ -96,7 +96,7 @@ class Reaper:
         try:
             path = Path(tempfile.gettempdir(), f"cornercase-{secrets.token_hex(6)}").absolute()
             # Announced first, so that it never exists without being guarded.
-            self._send("folder", str(path), is_guarded=True)
+            self._set_guarded("folder", str(path), is_guarded=True)
             path.mkdir(mode=0o700)
         except OSError as error:
             raise InputError(
@@ -110,7 +110,7 @@ class Reaper:
         shutil.rmtree(folder, ignore_errors=True)
         # If it cannot be removed now, the reaper may succeed when all processes have ended.
         if not folder.exists():
-            self._send("folder", str(folder), is_guarded=False)
+            self._set_guarded("folder", str(folder), is_guarded=False)
 
     def close(self) -> None:
         """Remove all remaining temporary folders, and end the reaper process."""
@@ -128,7 +128,7 @@ class Reaper:
     def __exit__(self, *exception: object) -> None:
         self.close()
 
-    def _send(self, category: str, name: str, *, is_guarded: bool) -> None:
+    def _set_guarded(self, category: str, name: str, *, is_guarded: bool) -> None:
         with self._lock:
             if not is_guarded and (category, name) not in self._resources:
                 return

@@ -28,13 +28,13 @@ def keys_to_identifiers(plain: Any, name_levels: Mapping[str, int]) -> Any:
     """
     if isinstance(plain, Mapping):
         return {
-            key_to_identifier(key): _convert_below_names(value, name_levels.get(key, 0), name_levels)
+            key_to_identifier(key): _convert_keys_below_names(value, name_levels.get(key, 0), name_levels)
             for key, value in plain.items()
         }
     return [keys_to_identifiers(item, name_levels) for item in plain] if isinstance(plain, list) else plain
 
 
-def _convert_below_names(plain: Any, levels: int, names: Mapping[str, int]) -> Any:
+def _convert_keys_below_names(plain: Any, levels: int, names: Mapping[str, int]) -> Any:
     if levels and isinstance(plain, Mapping):
-        return {key: _convert_below_names(value, levels - 1, names) for key, value in plain.items()}
+        return {key: _convert_keys_below_names(value, levels - 1, names) for key, value in plain.items()}
     return keys_to_identifiers(plain, names)

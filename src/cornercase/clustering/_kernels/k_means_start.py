@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from cornercase._common.numba.kernel import kernel
-from cornercase.clustering._cells import CELL_SIZE, MARGIN, fill_squares_to_centers, measure_cell_or_give_up
+from cornercase.clustering._cells import CELL_SIZE, MARGIN, fill_squares_to_centers, fill_squares_to_members
 
 _BLOCK_SIZE = 128
 """Number of points whose squared distances are summed together."""
@@ -39,7 +39,7 @@ def choose_centers(points, cells, first, random_numbers):
     to_centers, to_members = np.empty(len(cells.indices)), np.empty(CELL_SIZE)
     no_bound = np.full(CELL_SIZE, np.inf)
     for cell in range(len(reach)):
-        measure_cell_or_give_up(points[first], cells.members[cell], no_bound, to_members)
+        fill_squares_to_members(points[first], cells.members[cell], no_bound, to_members)
         for i in range(CELL_SIZE):
             if cells.indices[cell, i] >= 0:
                 squares[cell, i] = squares_by_point[cells.indices[cell, i]] = to_members[i]
@@ -50,11 +50,13 @@ def choose_centers(points, cells, first, random_numbers):
         total = block_sums.sum()
         best, best_gain = -1, -1.0
         for trial in range(random_numbers.shape[1]):
-            candidate = _draw(random_numbers[c - 1, trial] * total, squares_by_point, block_sums)
+            candidate = _find_index_at_cumulative_sum(
+                random_numbers[c - 1, trial] * total, squares_by_point, block_sums
+            )
             gain = 0.0
             fill_squares_to_centers(points[candidate], cells.centers, to_centers)
             for cell in range(len(reach)):
-                if to_centers[cell] <= reach[cell] and measure_cell_or_give_up(
+                if to_centers[cell] <= reach[cell] and fill_squares_to_members(
                     points[candidate], cells.members[cell], squares[cell], to_members
                 ):
                     for i in range(CELL_SIZE):
@@ -64,7 +66,7 @@ def choose_centers(points, cells, first, random_numbers):
         chosen[c] = best
         fill_squares_to_centers(points[best], cells.centers, to_centers)
         for cell in range(len(reach)):
-            if to_centers[cell] <= reach[cell] and measure_cell_or_give_up(
+            if to_centers[cell] <= reach[cell] and fill_squares_to_members(
                 points[best], cells.members[cell], squares[cell], to_members
             ):
                 for i in range(CELL_SIZE):
@@ -80,7 +82,7 @@ def choose_centers(points, cells, first, random_numbers):
 
 
 @kernel(error_model="numpy", _nrt=False)
-def _draw(target, squares, block_sums):
+def _find_index_at_cumulative_sum(target, squares, block_sums):
     """Return the index of the first point at which the cumulative sum of squared distances reaches `target`."""
     last, total = len(squares) - 1, 0.0
     for block in range(len(block_sums)):

@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from cornercase._common.numba.kernel import kernel
-from cornercase.clustering._cells import CELL_SIZE, MARGIN, fill_squares_to_centers, measure_cell_or_give_up
+from cornercase.clustering._cells import CELL_SIZE, MARGIN, fill_squares_to_centers, fill_squares_to_members
 
 
 @kernel(error_model="numpy")
@@ -35,7 +35,7 @@ def fill_nearest_rows(columns, cells, result):
             if to_centers[cell] > (cells.radii[cell] + math.sqrt(farthest)) ** 2 * MARGIN:
                 continue
             bounds[:] = farthest
-            if not measure_cell_or_give_up(columns[j], cells.members[cell], bounds, to_members):
+            if not fill_squares_to_members(columns[j], cells.members[cell], bounds, to_members):
                 continue
             for i in range(CELL_SIZE):
                 if cells.indices[cell, i] >= 0 and to_members[i] < nearest_squares[n_nearest - 1]:

@@ -12,7 +12,7 @@ import numpy as np
 from numba import types
 
 from cornercase._common.numba.kernel import kernel
-from cornercase._common.numba.late import LateKernels
+from cornercase._common.numba.late_kernels import LateKernels
 from cornercase._common.numba.pointers import call_for_float
 from cornercase._common.numba.tuple_pointers import reference_to, reference_type
 from cornercase.drivers._kernels.follow import follow_with_idm
@@ -133,7 +133,7 @@ def compute_accelerations(fleet, driver, track, time, time_step, driven, others,
     """Return the acceleration in m/s² of a driver of a fleet in each of N scenarios, (N,); 0 if not `active`.
 
     `track` is the number of the path. `driven` (N, 6) has the fields of `DrivenState`. `others` has shape (N, 4, A), as
-    in `compute_acceleration`. Call `link_drivers` before.
+    in `compute_acceleration`. Call `compile_fleet_kernels` before.
     """
     result, work = np.zeros(len(active)), make_workspace(others.shape[2])
     _fill_accelerations(

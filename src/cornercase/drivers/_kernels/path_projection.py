@@ -76,7 +76,7 @@ def interpolate_on_path(distance, values, at):
     last = distance.size - 1
     if not at < distance[last]:
         return values[last]
-    k = max(_find_first_from(distance, at) - 1, 0)
+    k = max(_find_first_at_or_beyond(distance, at) - 1, 0)
     share = max((at - distance[k]) / (distance[k + 1] - distance[k]), 0.0)
     return values[k] + share * (values[k + 1] - values[k])
 
@@ -91,14 +91,14 @@ def project_point(distance, path_x, path_y, heading, max_chord, own_distance, x,
     """
     if not (math.isfinite(x) and math.isfinite(y)):
         return math.nan, math.nan, math.nan, False
-    first = min(max(_find_first_from(distance, own_distance - _BEHIND) - 1, 0), distance.size - 2)
-    last = min(_find_first_from(distance, own_distance + _AHEAD) + 1, distance.size - 1)
+    first = min(max(_find_first_at_or_beyond(distance, own_distance - _BEHIND) - 1, 0), distance.size - 2)
+    last = min(_find_first_at_or_beyond(distance, own_distance + _AHEAD) + 1, distance.size - 1)
     nearest = _find_nearest_sample(path_x, path_y, max_chord, first, last, x, y)
     return _project_onto_chords(distance, path_x, path_y, heading, first, last, nearest, x, y)
 
 
 @kernel(error_model="numpy", _nrt=False)
-def _find_first_from(distance, at):
+def _find_first_at_or_beyond(distance, at):
     """Return the index of the first sample at a distance or beyond, as `np.searchsorted` does."""
     count = distance.size
     if not at > 0.0:
@@ -125,12 +125,12 @@ def _find_nearest_sample(path_x, path_y, max_chord, first, last, x, y):
         gap = _squared_gap(path_x, path_y, middle, x, y)
         if gap < least:
             nearest, least = middle, gap
-    bound = _square_beyond(least, _HALF_BLOCK * max_chord)
+    bound = _max_squared_gap(least, _HALF_BLOCK * max_chord)
     for start in range(first, last + 1, block):
         if _squared_gap(path_x, path_y, min(start + _HALF_BLOCK, last), x, y) > bound:
             continue
         end = min(start + block, last + 1)
-        part_bound = _square_beyond(least, _HALF_PART * max_chord)
+        part_bound = _max_squared_gap(least, _HALF_PART * max_chord)
         for begin in range(start, end, part):
             if _squared_gap(path_x, path_y, min(begin + _HALF_PART, last), x, y) > part_bound:
                 continue
@@ -138,13 +138,13 @@ def _find_nearest_sample(path_x, path_y, max_chord, first, last, x, y):
                 gap = _squared_gap(path_x, path_y, k, x, y)
                 if gap < least or (gap == least and k < nearest):
                     nearest, least = k, gap
-            part_bound = _square_beyond(least, _HALF_PART * max_chord)
-        bound = _square_beyond(least, _HALF_BLOCK * max_chord)
+            part_bound = _max_squared_gap(least, _HALF_PART * max_chord)
+        bound = _max_squared_gap(least, _HALF_BLOCK * max_chord)
     return nearest
 
 
 @kernel(error_model="numpy", _nrt=False, forceinline=True)
-def _square_beyond(squared_gap, reach):
+def _max_squared_gap(squared_gap, reach):
     """Return a limit in m² for skipping the samples within `reach` m of a sample.
 
     If the squared gap of that sample is above the limit, no sample around it is nearer than `squared_gap`.
@@ -159,14 +159,14 @@ def project_point_nearby(distance, path_x, path_y, heading, max_chord, own_dista
 
     So a vehicle does not change to another branch if its path crosses itself.
     """
-    k = find_sample_nearby(path_x, path_y, _find_first_from(distance, own_distance), x, y)
+    k = descend_to_nearest_sample(path_x, path_y, _find_first_at_or_beyond(distance, own_distance), x, y)
     if not _squared_gap(path_x, path_y, k, x, y) < NEARBY * NEARBY:
         return project_point(distance, path_x, path_y, heading, max_chord, own_distance, x, y)
     return _project_onto_chords(distance, path_x, path_y, heading, 0, distance.size - 1, k, x, y)
 
 
 @kernel(error_model="numpy", _nrt=False)
-def find_sample_nearby(path_x, path_y, start, x, y):
+def descend_to_nearest_sample(path_x, path_y, start, x, y):
     """Return the index of a path's sample nearest to a point; search from `start` on until gaps grow again."""
     last = path_x.size - 1
     k = min(max(start, 0), last)

@@ -19,7 +19,7 @@ from cornercase._common.typing import BoolArray, FloatArray
 from cornercase._common.validation import check_float
 from cornercase.drivers._base import Situation
 from cornercase.drivers._controls import Controls, Trajectory
-from cornercase.drivers._function import DrivingFunction, Start
+from cornercase.drivers._driving_function import DrivingFunction, Start
 from cornercase.drivers._mutation_file import read_mutations
 from cornercase.drivers.fmu._input_quantities import Traffic
 from cornercase.drivers.fmu._mapping import MappedVariable, VariableMap
@@ -249,14 +249,14 @@ class FmuDriver(DrivingFunction):
             return self._fail_all(self._failure, situation)
         tables = [self._processes.read_outputs(k) for k in range(len(self._map.output_layouts))]
         decisions = self._map.read_outputs(tables)
-        failed |= self._find_unusable(decisions, situation.active, failed)
+        failed |= self._check_decision_ranges(decisions, situation.active, failed)
         controls, trajectories = Controls.empty(n), dict[int, Trajectory]()
         if self._messages.motion is not None:
             failed |= self._read_motion(situation, failed, controls.acceleration, trajectories)
         for name, values in decisions.items():
             target = getattr(controls, name)
             target[:] = np.rint(np.nan_to_num(values)) if name == "lane_change" else values
-        return replace(controls, trajectories=trajectories, failures=self._failures(failed, situation.time))
+        return replace(controls, trajectories=trajectories, failures=self._make_errors(failed, situation.time))
 
     def release(self) -> None:
         """End the batch; the FMU's processes stay ready for the next batch."""
@@ -265,16 +265,16 @@ class FmuDriver(DrivingFunction):
 
     def _fail_all(self, text: str, situation: Situation) -> Controls:
         failed = dict.fromkeys(np.flatnonzero(situation.active).tolist(), text)
-        return replace(Controls.empty(len(situation.active)), failures=self._failures(failed, situation.time))
+        return replace(Controls.empty(len(situation.active)), failures=self._make_errors(failed, situation.time))
 
-    def _failures(self, texts: Mapping[int, str], time: float) -> dict[int, SimulationError]:
+    def _make_errors(self, texts: Mapping[int, str], time: float) -> dict[int, SimulationError]:
         instant, failures = format_time_of_failure(time), dict[int, SimulationError]()
         for row, text in texts.items():
             what, colon, why = text.partition(":")
             failures[row] = PluginError(f"{self._display_name} {what}{instant}{colon}{why}")
         return failures
 
-    def _find_unusable(
+    def _check_decision_ranges(
         self, decisions: Mapping[str, FloatArray], active: BoolArray, failed: Mapping[int, str]
     ) -> dict[int, str]:
         """Clip decisions to their ranges in place; return, by scenario, errors of decisions that are not usable."""

@@ -13,7 +13,7 @@ import numpy as np
 from cornercase._common.errors import suggest_name
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.drivers._base import Situation
-from cornercase.drivers._function import Body
+from cornercase.drivers._driving_function import Body
 from cornercase.drivers._view import SharedView, SignalView, View
 
 if TYPE_CHECKING:
@@ -32,15 +32,15 @@ class Traffic:
         self._path_points: dict[float, tuple[FloatArray, ...]] = {}
 
     @cached_property
-    def _order(self) -> IntArray:
+    def _distance_order(self) -> IntArray:
         """Indices of the others by increasing distance, shape (N, A); others that do not exist come last."""
-        x, y, _ = self.shared.relative
+        x, y, _ = self.shared.relative_poses
         return np.argsort(np.hypot(x, y), axis=1, kind="stable")
 
-    def field(self, name: str) -> FloatArray:
+    def get_others_field(self, name: str) -> FloatArray:
         """Return a property of the others, such as ``"gap"``, nearest first, shape (N, A); NaN if there is none."""
         if name not in self._fields:
-            values: FloatArray = np.take_along_axis(_OTHER_FIELDS[name](self), self._order, axis=1)
+            values: FloatArray = np.take_along_axis(_OTHER_FIELDS[name](self), self._distance_order, axis=1)
             self._fields[name] = values
         return self._fields[name]
 
@@ -48,12 +48,12 @@ class Traffic:
     def _fields(self) -> dict[str, FloatArray]:
         return {}
 
-    def of_rank(self, name: str, rank: int) -> FloatArray:
+    def get_ranked_field(self, name: str, rank: int) -> FloatArray:
         """Return a property of another entity by its rank in distance (0: nearest), shape (N,); NaN if none."""
-        values = self.field(name)
+        values = self.get_others_field(name)
         return values[:, rank] if rank < values.shape[1] else np.full(len(values), np.nan)
 
-    def of_leader(self, name: str) -> FloatArray:
+    def get_leader_field(self, name: str) -> FloatArray:
         """Return a property of the leader (entity ahead in the ego's path), shape (N,); NaN if there is none."""
         leader, values = self.shared.leader, _OTHER_FIELDS[name](self)
         if not values.shape[1]:
@@ -61,17 +61,17 @@ class Traffic:
         of_leader: FloatArray = np.where(leader < 0, np.nan, values[np.arange(len(values)), leader])
         return of_leader
 
-    def of_path(self, field: str, ahead: float) -> FloatArray:
+    def get_path_point_field(self, field: str, ahead: float) -> FloatArray:
         """Return a property of the point of the path `ahead` m ahead of the ego, such as ``"x"``, shape (N,)."""
         if ahead not in self._path_points:
             self._path_points[ahead] = tuple(self.shared.path_points(np.array([ahead])))
         return self._path_points[ahead][[*_PATH_UNITS].index(field)][:, 0]
 
-    def of_lane(self, field: str, number: int) -> FloatArray:
+    def get_lane_field(self, field: str, number: int) -> FloatArray:
         """Return a property of a lane by its number (0: the ego's lane), such as ``"width"``, shape (N,)."""
         return self._per_scenario(lambda view: _LANE_FIELDS[field](_find_lane(view, number)))
 
-    def of_signal(self, field: str) -> FloatArray:
+    def get_signal_field(self, field: str) -> FloatArray:
         """Return a property of the next traffic signal along the path, such as ``"gap"`` or ``"state"``, shape (N,)."""
         return self._per_scenario(lambda view: _SIGNAL_FIELDS[field](_next_signal(view)))
 
@@ -110,13 +110,13 @@ class InputQuantity:
 
 
 def _time_to_collision(traffic: Traffic) -> FloatArray:
-    gap, closing, _, _ = traffic.shared.along_path
+    gap, closing, _, _ = traffic.shared.objects_along_path
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where((gap >= 0.0) & (closing > 0.0), gap / closing, np.nan)
 
 
 def _in_path(traffic: Traffic) -> FloatArray:
-    return np.where(traffic.shared.along_path[3], 1.0, 0.0) * traffic.exists
+    return np.where(traffic.shared.objects_along_path[3], 1.0, 0.0) * traffic.exists
 
 
 def _type_codes(traffic: Traffic) -> FloatArray:
@@ -135,15 +135,15 @@ def _next_signal(view: View) -> SignalView | None:
 _TYPE_CODES: Final = {"pedestrian": 2.0, "misc": 3.0}
 _OTHER_FIELDS: Final[Mapping[str, Callable[[Traffic], FloatArray]]] = {
     "exists": lambda traffic: traffic.exists,
-    "x": lambda traffic: traffic.shared.relative[0],
-    "y": lambda traffic: traffic.shared.relative[1],
-    "heading": lambda traffic: traffic.shared.relative[2],
+    "x": lambda traffic: traffic.shared.relative_poses[0],
+    "y": lambda traffic: traffic.shared.relative_poses[1],
+    "heading": lambda traffic: traffic.shared.relative_poses[2],
     "speed": lambda traffic: traffic.situation.others_speed,
     "length": lambda traffic: traffic.situation.others_length * traffic.exists,
     "width": lambda traffic: traffic.situation.others_width * traffic.exists,
-    "gap": lambda traffic: traffic.shared.along_path[0],
-    "closing": lambda traffic: traffic.shared.along_path[1],
-    "lateral": lambda traffic: traffic.shared.along_path[2],
+    "gap": lambda traffic: traffic.shared.objects_along_path[0],
+    "closing": lambda traffic: traffic.shared.objects_along_path[1],
+    "lateral": lambda traffic: traffic.shared.objects_along_path[2],
     "ttc": _time_to_collision,
     "in_path": _in_path,
     "type": _type_codes,
@@ -197,32 +197,32 @@ _SIGNAL_UNITS: Final[Mapping[str, tuple[str, float]]] = {
 }
 
 
-def _fill(value: Callable[[Traffic], float]) -> Callable[[Traffic], FloatArray]:
+def _repeat_per_scenario(value: Callable[[Traffic], float]) -> Callable[[Traffic], FloatArray]:
     return lambda traffic: np.full(len(traffic.situation.speed), value(traffic))
 
 
-def _of_leader(field: str, traffic: Traffic) -> FloatArray:
-    return traffic.of_leader(field)
+def _get_leader_field(field: str, traffic: Traffic) -> FloatArray:
+    return traffic.get_leader_field(field)
 
 
-def _of_signal(field: str, traffic: Traffic) -> FloatArray:
-    return traffic.of_signal(field)
+def _get_signal_field(field: str, traffic: Traffic) -> FloatArray:
+    return traffic.get_signal_field(field)
 
 
-def _of_path(field: str, ahead: float, traffic: Traffic) -> FloatArray:
-    return traffic.of_path(field, ahead)
+def _get_path_point_field(field: str, ahead: float, traffic: Traffic) -> FloatArray:
+    return traffic.get_path_point_field(field, ahead)
 
 
-def _of_lane(field: str, number: int, traffic: Traffic) -> FloatArray:
-    return traffic.of_lane(field, number)
+def _get_lane_field(field: str, number: int, traffic: Traffic) -> FloatArray:
+    return traffic.get_lane_field(field, number)
 
 
-def _of_rank(field: str, rank: int, traffic: Traffic) -> FloatArray:
-    return traffic.of_rank(field, rank)
+def _get_ranked_field(field: str, rank: int, traffic: Traffic) -> FloatArray:
+    return traffic.get_ranked_field(field, rank)
 
 
 _EGO: Final = (
-    InputQuantity("time", "s", 0.0, _fill(lambda traffic: traffic.shared.time)),
+    InputQuantity("time", "s", 0.0, _repeat_per_scenario(lambda traffic: traffic.shared.time)),
     InputQuantity("target_speed", "m/s", _FAST, lambda traffic: traffic.situation.target_speed),
     InputQuantity("ego.speed", "m/s", 0.0, lambda traffic: traffic.situation.speed),
     InputQuantity("ego.acceleration", "m/s²", 0.0, lambda traffic: traffic.situation.acceleration),
@@ -232,25 +232,25 @@ _EGO: Final = (
     InputQuantity("ego.distance", "m", 0.0, lambda traffic: traffic.shared.own_pose_on_path[0]),
     InputQuantity("ego.offset", "m", 0.0, lambda traffic: traffic.shared.own_pose_on_path[1]),
     InputQuantity("ego.turn", "rad", 0.0, lambda traffic: traffic.shared.turn),
-    InputQuantity("ego.length", "m", 0.0, _fill(lambda traffic: traffic.body.length)),
-    InputQuantity("ego.width", "m", 0.0, _fill(lambda traffic: traffic.body.width)),
-    InputQuantity("ego.wheelbase", "m", 0.0, _fill(lambda traffic: traffic.body.wheelbase)),
+    InputQuantity("ego.length", "m", 0.0, _repeat_per_scenario(lambda traffic: traffic.body.length)),
+    InputQuantity("ego.width", "m", 0.0, _repeat_per_scenario(lambda traffic: traffic.body.width)),
+    InputQuantity("ego.wheelbase", "m", 0.0, _repeat_per_scenario(lambda traffic: traffic.body.wheelbase)),
     InputQuantity(
         "object.count", "1", 0.0, lambda traffic: (~np.isnan(traffic.situation.others_x)).sum(axis=1).astype(np.float64)
     ),
 )
 _LEADER: Final = tuple(
-    InputQuantity(f"leader.{name}", unit, none, partial(_of_leader, name))
+    InputQuantity(f"leader.{name}", unit, none, partial(_get_leader_field, name))
     for name, (unit, none) in _OTHER_UNITS.items()
 )
 _ROAD: Final = (
     InputQuantity("speed_limit", "m/s", _FAST, lambda traffic: traffic.speed_limit),
     *(
-        InputQuantity(f"lane.{name}", unit, none, partial(_of_lane, name, 0))
+        InputQuantity(f"lane.{name}", unit, none, partial(_get_lane_field, name, 0))
         for name, (unit, none) in _LANE_UNITS.items()
     ),
     *(
-        InputQuantity(f"signal.{name}", unit, none, partial(_of_signal, name))
+        InputQuantity(f"signal.{name}", unit, none, partial(_get_signal_field, name))
         for name, (unit, none) in _SIGNAL_UNITS.items()
     ),
 )
@@ -266,16 +266,18 @@ def find_quantity(name: str) -> InputQuantity | None:
     """Return the quantity with a name such as ``"ego.speed"`` or ``"object[1].x"``; None if there is none."""
     if (match := _OBJECT_NAME.fullmatch(name)) is not None and match[2] in _OTHER_UNITS:
         unit, none = _OTHER_UNITS[match[2]]
-        return InputQuantity(name, unit, none, partial(_of_rank, match[2], int(match[1]) - 1))
+        return InputQuantity(name, unit, none, partial(_get_ranked_field, match[2], int(match[1]) - 1))
     if (match := _PATH_NAME.fullmatch(name)) is not None and match[2] in _PATH_UNITS:
-        return InputQuantity(name, _PATH_UNITS[match[2]], 0.0, partial(_of_path, match[2], float(match[1])))
+        return InputQuantity(
+            name, _PATH_UNITS[match[2]], 0.0, partial(_get_path_point_field, match[2], float(match[1]))
+        )
     if (match := _LANE_NAME.fullmatch(name)) is not None and match[2] in _LANE_UNITS:
         unit, none = _LANE_UNITS[match[2]]
-        return InputQuantity(name, unit, none, partial(_of_lane, match[2], int(match[1])))
+        return InputQuantity(name, unit, none, partial(_get_lane_field, match[2], int(match[1])))
     return QUANTITIES.get(name)
 
 
-def find_quantities(name: str, count: int) -> list[InputQuantity] | None:
+def find_object_quantities(name: str, count: int) -> list[InputQuantity] | None:
     """Return a quantity such as ``"object.x"`` of each of the `count` nearest objects; None if the name is unknown."""
     match = _OBJECT_ARRAY.fullmatch(name)
     if match is None or match[1] not in _OTHER_UNITS:

@@ -15,7 +15,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from cornercase._common.platform import load_c_library, search_libraries_in
+from cornercase._common.platform import add_library_folder, load_c_library
 
 OK, WARNING, DISCARD, ERROR, FATAL, PENDING = range(6)
 _STATUS_NAMES: Final = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
@@ -92,7 +92,7 @@ class Fmu:
     def __init__(self, source: FmuSource, on_log: Callable[[str], None] = lambda line: None) -> None:
         self.source, self.version, self.on_log = source, source.version, on_log
         self._prefix = f"fmi{source.version}"
-        search_libraries_in(Path(source.library).parent)
+        add_library_folder(Path(source.library).parent)
         try:
             self._dll = ctypes.CDLL(source.library)
         except OSError as error:
@@ -100,28 +100,28 @@ class Fmu:
         signature = (c_void_p, c_void_p, c_size_t, c_void_p, *((c_size_t,) if self.version == 3 else ()))
         self.setters, self.getters = (
             {
-                kind: self.function(f"{verb}{kind}", *signature)
+                kind: self.declare_function(f"{verb}{kind}", *signature)
                 for kind in C_TYPES[self.version]
                 if self._has(verb, kind)
             }
             for verb in ("Set", "Get")
         )
-        self.reset = self.function("Reset", c_void_p)
-        self._terminate = self.function("Terminate", c_void_p)
-        self._free = self.function("FreeInstance", c_void_p, returns=None)
-        self._exit_initialization = self.function("ExitInitializationMode", c_void_p)
+        self.reset = self.declare_function("Reset", c_void_p)
+        self._terminate = self.declare_function("Terminate", c_void_p)
+        self._free = self.declare_function("FreeInstance", c_void_p, returns=None)
+        self._exit_initialization = self.declare_function("ExitInitializationMode", c_void_p)
         # Raises an error now if the function is missing, as for the functions above.
         self.bind("DoStep")
         self.has_ended = ctypes.c_bool()
         if self.version == 2:
-            self._setup_experiment = self.function(
+            self._setup_experiment = self.declare_function(
                 "SetupExperiment", c_void_p, c_int, c_double, c_double, c_int, c_double
             )
-            self._enter_initialization = self.function("EnterInitializationMode", c_void_p)
+            self._enter_initialization = self.declare_function("EnterInitializationMode", c_void_p)
             self.step_arguments: tuple[Any, ...] = (c_int(1),)
             self._callbacks = self._make_callbacks()
         else:
-            self._enter_initialization = self.function(
+            self._enter_initialization = self.declare_function(
                 "EnterInitializationMode", c_void_p, ctypes.c_bool, c_double, c_double, ctypes.c_bool, c_double
             )
             self._flags = ctypes.c_bool(), ctypes.c_bool(), c_double()
@@ -133,7 +133,7 @@ class Fmu:
     def _has(self, verb: str, kind: str) -> bool:
         return hasattr(self._dll, f"{self._prefix}{verb}{kind}")
 
-    def function(self, name: str, *arguments: Any, returns: Any = c_int) -> Any:
+    def declare_function(self, name: str, *arguments: Any, returns: Any = c_int) -> Any:
         """Return a C function by its name without ``fmi2`` or ``fmi3``; declare the types of arguments and result."""
         function = self._find(name)
         function.argtypes, function.restype = arguments, returns
@@ -161,7 +161,7 @@ class Fmu:
         source, categories = self.source, self.source.log_categories
         resources = Path(source.folder, "resources")
         if self.version == 2:
-            instantiate = self.function(
+            instantiate = self.declare_function(
                 "Instantiate", c_char_p, c_int, c_char_p, c_char_p, c_void_p, c_int, c_int, returns=c_void_p
             )
             component = instantiate(
@@ -175,7 +175,7 @@ class Fmu:
             )
         else:
             bools = (ctypes.c_bool,) * 4
-            instantiate = self.function(
+            instantiate = self.declare_function(
                 "InstantiateCoSimulation",
                 *(c_char_p, c_char_p, c_char_p, *bools, c_void_p, c_size_t, c_void_p, _LOGGER_3, c_void_p),
                 returns=c_void_p,
@@ -196,7 +196,7 @@ class Fmu:
         if categories:
             names = (c_char_p * len(categories))(*(category.encode() for category in categories))
             flag = c_int if self.version == 2 else ctypes.c_bool
-            set_logging = self.function("SetDebugLogging", c_void_p, flag, c_size_t, c_void_p)
+            set_logging = self.declare_function("SetDebugLogging", c_void_p, flag, c_size_t, c_void_p)
             set_logging(component, 1, len(categories), names)
         return Instance(self, component)
 

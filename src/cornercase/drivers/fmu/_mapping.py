@@ -19,7 +19,7 @@ from cornercase.drivers.fmu._input_quantities import (
     OUTPUTS,
     InputQuantity,
     Traffic,
-    find_quantities,
+    find_object_quantities,
     find_quantity,
     recognize_input,
     recognize_output,
@@ -123,8 +123,8 @@ class VariableMap:
             self._check_decisions()
         for variable, source, remark in self.messages.listing:
             self.listing.append(MappedVariable(variable.name, variable.causality, "", source, remark))
-        self._input_kinds = _group([mapped.variable for mapped in self.inputs])
-        self._output_kinds = _group([mapped.variable for mapped in self.outputs])
+        self._input_kinds = _group_by_type([mapped.variable for mapped in self.inputs])
+        self._output_kinds = _group_by_type([mapped.variable for mapped in self.outputs])
         self.input_layouts = [self._layout(self.inputs, members) for members in self._input_kinds]
         self.output_layouts = [self._layout(self.outputs, members) for members in self._output_kinds]
 
@@ -182,7 +182,7 @@ class VariableMap:
             return Input(variable, (InputColumn(None, 1.0, 0.0, float(entry)),) * variable.size)
         options = _check_entry(where, entry, _INPUT_KEYS, "leader.gap")
         source = options["from"]
-        quantities = find_quantities(source, variable.size) if variable.size > 1 else None
+        quantities = find_object_quantities(source, variable.size) if variable.size > 1 else None
         if quantities is None and variable.size == 1 and (quantity := find_quantity(source)) is not None:
             quantities = [quantity]
         if quantities is None:
@@ -315,7 +315,7 @@ def _convert(values: FloatArray, layout: TableLayout) -> npt.NDArray[Any]:
     return clipped.astype(dtype)
 
 
-def _group(variables: Sequence[FmuVariable]) -> list[list[int]]:
+def _group_by_type(variables: Sequence[FmuVariable]) -> list[list[int]]:
     """Group variables by FMI type; return their indices, one list per type."""
     kinds: dict[str, list[int]] = {}
     for k, variable in enumerate(variables):

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from cornercase._common.errors import InputError
-from cornercase._common.extras import describe_install
+from cornercase._common.optional_packages import describe_install
 from cornercase._common.text.sanitize import format_exception, shorten
 from cornercase.drivers.fmu._instance import FmuSource
 from cornercase.drivers.fmu._osmp_variables import MessageVariable, read_message_variables

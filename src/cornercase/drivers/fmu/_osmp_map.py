@@ -38,7 +38,9 @@ class OsmpMap:
             variable for variable in variables if variable.causality == "input" and variable.message in _GIVEN
         ]
         self.static = [
-            variable for variable in variables if variable.causality == "parameter" and _name_static(variable)
+            variable
+            for variable in variables
+            if variable.causality == "parameter" and _describe_static_message(variable)
         ]
         self.has_roads_once = any(variable.message == "GroundTruth" for variable in self.static)
         motions = [
@@ -54,7 +56,7 @@ class OsmpMap:
             if variable in self.inputs:
                 use = f"{_GIVEN[variable.message]}, as OSI {kind}"
             elif variable in self.static:
-                use = f"{_name_static(variable)}, as OSI {kind}"
+                use = f"{_describe_static_message(variable)}, as OSI {kind}"
             elif variable is self.motion:
                 use = f"{_DECIDES[variable.message]}, as OSI {kind}"
             remarks = [] if use else [f"OSI {kind}" if variable.message else kind]
@@ -77,7 +79,7 @@ class OsmpMap:
         )
 
 
-def _name_static(variable: MessageVariable) -> str:
+def _describe_static_message(variable: MessageVariable) -> str:
     """Return the use of an OSI message that is passed once as a parameter; an empty text if the message is unused."""
     return next(
         (

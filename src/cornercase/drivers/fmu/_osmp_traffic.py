@@ -11,7 +11,7 @@ from cornercase._common.geometry.boxes import wrap_angle
 from cornercase._common.typing import FloatArray
 from cornercase.drivers._base import Situation
 from cornercase.drivers._controls import Trajectory
-from cornercase.drivers._function import Start
+from cornercase.drivers._driving_function import Start
 from cornercase.drivers.fmu._osmp_map import OsmpMap
 from cornercase.recordings._osi_messages import OsiEntity, OsiState, fill_ground_truth, set_timestamp, set_version
 from cornercase.recordings._osi_roads import fill_roads
@@ -129,7 +129,7 @@ class OsmpTraffic:
                 set_timestamp(message.timestamp, time)
                 message.sensor_id.value = self._views.index(variable.name)
                 message.host_vehicle_id.value = HOST
-                _mount(message)
+                _set_mounting_position(message)
                 message.global_ground_truth.CopyFrom(truth)
             messages.append(message.SerializeToString(deterministic=True))
         return messages
@@ -158,7 +158,7 @@ class OsmpTraffic:
         config, view = SensorViewConfiguration(), name.replace("Config", "", 1)
         set_version(config)
         config.sensor_id.value = self._views.index(view) if view in self._views else 0
-        _mount(config)
+        _set_mounting_position(config)
         config.field_of_view_horizontal, config.field_of_view_vertical = 2.0 * math.pi, math.pi
         set_timestamp(config.update_cycle_time, self._start.time_step)
         set_timestamp(config.simulation_start_time, 0.0)
@@ -189,7 +189,9 @@ class OsmpTraffic:
             raise UnusableMotionError(
                 f"its TrafficUpdate has the ids {ids}, but not the id {HOST} of the driven vehicle"
             )
-        return self._reach(update.base, situation.time + situation.time_step, situation, row, self._start.body.center_x)
+        return self._plan_motion_to(
+            update.base, situation.time + situation.time_step, situation, row, self._start.body.center_x
+        )
 
     def _read_motion_request(self, message: bytes, situation: Situation, row: int) -> Trajectory | float:
         from osi3.osi_motionrequest_pb2 import MotionRequest
@@ -199,7 +201,7 @@ class OsmpTraffic:
             points = request.desired_trajectory.trajectory_point
             times = [_read_time(point.timestamp) for point in points]
             if len(points) == 1:
-                return self._reach(points[0], times[0], situation, row, 0.0)
+                return self._plan_motion_to(points[0], times[0], situation, row, 0.0)
             headings = [point.orientation.yaw for point in points]
             return Trajectory(
                 np.array(times),
@@ -209,9 +211,11 @@ class OsmpTraffic:
             )
         state = request.desired_state
         time = _read_time(state.timestamp) if state.HasField("timestamp") else situation.time + situation.time_step
-        return self._reach(state, time, situation, row, 0.0)
+        return self._plan_motion_to(state, time, situation, row, 0.0)
 
-    def _reach(self, goal: Any, time: float, situation: Situation, row: int, center_x: float) -> Trajectory | float:
+    def _plan_motion_to(
+        self, goal: Any, time: float, situation: Situation, row: int, center_x: float
+    ) -> Trajectory | float:
         """Return a trajectory to the OSI state `goal` at `time` s, or the acceleration of a `goal` without position.
 
         The position of `goal` is `center_x` m ahead of the vehicle's reference point. Coordinates and headings that
@@ -246,7 +250,7 @@ class OsmpTraffic:
         )
 
 
-def _mount(message: Any) -> None:
+def _set_mounting_position(message: Any) -> None:
     """Set a sensor's mounting position to the middle of the rear axle, the origin of mounting positions."""
     position, orientation = message.mounting_position.position, message.mounting_position.orientation
     position.x = position.y = position.z = orientation.roll = orientation.pitch = orientation.yaw = 0.0

@@ -58,13 +58,13 @@ def read_message_variables(
         if variable is not None and variable.kind != "Binary":
             role, mime = element.get("role", ""), element.get("mime-type", "")
             members_by_name.setdefault(element.get("name", ""), []).append((role, mime, variable))
-    messages = [_join(name, members, refuse) for name, members in members_by_name.items()]
+    messages = [_join_message_parts(name, members, refuse) for name, members in members_by_name.items()]
     return tuple(messages), frozenset(
         variable.name for members in members_by_name.values() for _, _, variable in members
     )
 
 
-def _join(
+def _join_message_parts(
     name: str, members: Iterable[tuple[str, str, FmuVariable]], refuse: Callable[[str], InputError]
 ) -> MessageVariable:
     roles, mimes, variables = zip(*members, strict=True)
@@ -82,13 +82,13 @@ def _join(
     match = _MESSAGE_TYPE.match(mimes[0])
     declared = "" if match is None else match[1]
     # If name and MIME type differ, the name counts: MIME types are easily copied from other variables by mistake.
-    message = declared and (_message_of_name(name) or declared)
+    message = declared and (_message_type_from_name(name) or declared)
     low, high, size = (of_role[role] for role in _ROLES)
     misdeclared = "" if message == declared else declared
     return MessageVariable(name, causalities.pop(), message, kinds.pop(), (low, high, size), misdeclared)
 
 
-def _message_of_name(name: str) -> str:
+def _message_type_from_name(name: str) -> str:
     match = _NAME.fullmatch(name)
     if match is None:
         return ""

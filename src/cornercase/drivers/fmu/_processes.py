@@ -25,8 +25,8 @@ from cornercase._common.platform import count_available_cpus, describe_exit_code
 from cornercase._common.process.reaper import Reaper
 from cornercase._common.text.sanitize import escape_control_characters, remove_folders, shorten
 from cornercase._common.typing import BoolArray
-from cornercase.drivers.fmu._host import PROGRESS_BYTES
 from cornercase.drivers.fmu._instance import FmuSource
+from cornercase.drivers.fmu._instance_server import PROGRESS_BYTES
 from cornercase.drivers.fmu._osmp_buffers import MessageLayout
 
 MAX_PROCESSES: Final = 32
@@ -38,7 +38,9 @@ _START_TIMEOUT: Final = 60.0
 # Log lines that an error message shows, their total length in characters, and bytes of the log that are read.
 _MAX_LINES, _MAX_LOG_LENGTH, _MAX_LOG_BYTES = 3, 300, 1_000_000
 # The child process imports the package from the same folder as this process.
-_HOST_CODE: Final = "import sys; sys.path.insert(0, sys.argv[1]); from cornercase.drivers.fmu._host import main; main()"
+_HOST_CODE: Final = (
+    "import sys; sys.path.insert(0, sys.argv[1]); from cornercase.drivers.fmu._instance_server import main; main()"
+)
 
 
 class FmuProcessError(Exception):
@@ -191,7 +193,7 @@ class _Process:
         # Time limit in s of the current request.
         self.limit = timeout
         threading.Thread(target=_kill_when_hung, args=(weakref.ref(self), timeout), daemon=True).start()
-        self._ask({"do": "load", "source": asdict(source)})
+        self._request({"do": "load", "source": asdict(source)})
 
     @property
     def is_usable(self) -> bool:
@@ -236,7 +238,7 @@ class _Process:
         self._inputs, self.outputs = arrays[: len(inputs)], arrays[len(inputs) :]
         self._n_messages, self.messages = len(messages.outputs), [[b""] * len(messages.outputs)] * scenarios
         self._log.truncate(0)
-        self._ask(
+        self._request(
             {
                 "do": "begin",
                 "memory": str(path),
@@ -279,14 +281,14 @@ class _Process:
 
     def end_batch(self, reset: bool | None) -> bool | None:
         """End a batch; return whether instances can be reused after a reset, or None if this is unknown."""
-        answer: bool | None = self._ask({"do": "end", "reset": reset})
+        answer: bool | None = self._request({"do": "end", "reset": reset})
         return answer
 
     def close(self) -> None:
         """End the process."""
         self._close()
 
-    def _ask(self, message: dict[str, object]) -> Any:
+    def _request(self, message: dict[str, object]) -> Any:
         self._send(json.dumps(message).encode() + b"\n", max(self._timeout, _START_TIMEOUT))
         answer = self._receive()
         if isinstance(answer, dict) and "error" in answer:

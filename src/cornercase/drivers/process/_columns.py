@@ -34,10 +34,10 @@ class Column:
     compute: Callable[[SharedView], Any]
 
 
-def _leader(shared: SharedView) -> IntArray:
+def _find_leader(shared: SharedView) -> IntArray:
     """Return the index of the leader (nearest entity ahead in the ego's path) among the others; -1 if there is none."""
-    gap, _, _, in_path = shared.along_path
-    x, y, _ = shared.relative
+    gap, _, _, in_path = shared.objects_along_path
+    x, y, _ = shared.relative_poses
     if not gap.shape[1]:
         return np.full(len(gap), -1)
     is_ahead = in_path & (gap >= 0.0) & (x > 0.0)
@@ -47,8 +47,8 @@ def _leader(shared: SharedView) -> IntArray:
     return np.where(is_ahead.any(axis=1), leader, -1)
 
 
-def _of_leader(values: FloatArray, shared: SharedView) -> FloatArray:
-    leader = _leader(shared)
+def _select_leader_values(values: FloatArray, shared: SharedView) -> FloatArray:
+    leader = _find_leader(shared)
     if not values.shape[1]:
         return np.full(len(values), np.nan)
     return np.where(leader >= 0, values[np.arange(len(values)), leader], np.nan)
@@ -70,24 +70,25 @@ COLUMNS: Final = {
         Column("turn", "M", "rad", "the ego's heading relative to its path, positive to the left",
                lambda v: v.turn),
         Column("leader", "M", "", "number of the nearest of those ahead in the ego's path; -1 if there is none",
-               _leader),
+               _find_leader),
         Column("leader_gap", "M", "m", "the leader's `other_gap`; NaN without a leader",
-               lambda v: _of_leader(v.along_path[0], v)),
+               lambda v: _select_leader_values(v.objects_along_path[0], v)),
         Column("leader_closing", "M", "m/s", "the leader's `other_closing`; NaN without a leader",
-               lambda v: _of_leader(v.along_path[1], v)),
+               lambda v: _select_leader_values(v.objects_along_path[1], v)),
         Column("other_x", "M, A", "m", "centre of the other's box, ahead of the ego's reference point; NaN while there"
-               " is no such entity", lambda v: v.relative[0]),
+               " is no such entity", lambda v: v.relative_poses[0]),
         Column("other_y", "M, A", "m", "centre of the other's box, to the left of the ego's reference point",
-               lambda v: v.relative[1]),
-        Column("other_heading", "M, A", "rad", "the other's heading relative to the ego's", lambda v: v.relative[2]),
+               lambda v: v.relative_poses[1]),
+        Column("other_heading", "M, A", "rad", "the other's heading relative to the ego's",
+               lambda v: v.relative_poses[2]),
         Column("other_speed", "M, A", "m/s", "the other's speed", lambda v: v.situation.others_speed),
         Column("other_gap", "M, A", "m", "distance of the boxes along the ego's path, negative behind; NaN if it is"
-               " nowhere along the path", lambda v: v.along_path[0]),
-        Column("other_closing", "M, A", "m/s", "speed at which the gap shrinks", lambda v: v.along_path[1]),
+               " nowhere along the path", lambda v: v.objects_along_path[0]),
+        Column("other_closing", "M, A", "m/s", "speed at which the gap shrinks", lambda v: v.objects_along_path[1]),
         Column("other_lateral", "M, A", "m", "distance of the box's centre from the ego's path, positive to the left",
-               lambda v: v.along_path[2]),
+               lambda v: v.objects_along_path[2]),
         Column("other_in_path", "M, A", "", "1 if its box reaches into the strip that the ego's box sweeps along its"
-               " path, else 0", lambda v: v.along_path[3]),
+               " path, else 0", lambda v: v.objects_along_path[3]),
     )
 }  # fmt: skip
 """Columns of the table by name."""

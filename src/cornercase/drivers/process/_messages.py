@@ -29,7 +29,7 @@ class ProtocolError(Exception):
 
 def write_message(stream: BinaryIO, message: Mapping[str, Any]) -> None:
     """Send a message to a program; `OSError` if the other end of the stream is closed."""
-    content = msgpack.packb(message, default=_to_plain)
+    content = msgpack.packb(message, default=_make_packable)
     stream.write(_LENGTH.pack(len(content)) + content)
     stream.flush()
 
@@ -75,11 +75,11 @@ def read_answer(answer: Mapping[str, Any], n_rows: int) -> tuple[Controls, dict[
         pedal = getattr(controls, name)
         if bool(((pedal < 0.0) | (pedal > 1.0)).any()):
             raise ProtocolError(f"its {name} is {pedal[(pedal < 0.0) | (pedal > 1.0)][0]:g}; it goes from 0 to 1")
-    failures = {_read_row(row, n_rows): str(text) for row, text in _read_list(answer, "failures", 2)}
+    failures = {_check_row_index(row, n_rows): str(text) for row, text in _read_list(answer, "failures", 2)}
     for row, *columns in _read_list(answer, "trajectories", 4):
         try:
             points = (_unpack("trajectory", column) for column in columns)
-            trajectories[_read_row(row, n_rows)] = Trajectory(*points)
+            trajectories[_check_row_index(row, n_rows)] = Trajectory(*points)
         except ValueError as error:
             raise ProtocolError(f"its trajectory cannot be used: {error}") from error
     return replace(controls, trajectories=trajectories), failures
@@ -107,12 +107,12 @@ def _read_list(answer: Mapping[str, Any], name: str, length: int) -> list[Any]:
     return rows
 
 
-def _read_row(row: object, n_rows: int) -> int:
+def _check_row_index(row: object, n_rows: int) -> int:
     if not isinstance(row, int) or not 0 <= row < n_rows:
         raise ProtocolError(f"its answer has the row {row!r}, but the step has {n_rows} rows")
     return row
 
 
-def _to_plain(value: Any) -> Any:
+def _make_packable(value: Any) -> Any:
     """Convert a value for MessagePack: a NumPy number to a Python number, all other objects to text."""
     return value.item() if isinstance(value, np.generic) else str(value)

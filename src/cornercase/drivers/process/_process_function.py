@@ -26,7 +26,7 @@ from cornercase._common.version import __version__
 from cornercase.drivers._attached_driver import DriverError
 from cornercase.drivers._base import Situation
 from cornercase.drivers._controls import Controls
-from cornercase.drivers._function import DrivingFunction, Start
+from cornercase.drivers._driving_function import DrivingFunction, Start
 from cornercase.drivers._mutation_file import read_mutations
 from cornercase.drivers._registry import SEPARATOR, split_spec
 from cornercase.drivers.process._columns import COLUMNS, PATH_COLUMNS, compute_columns, select_rows
@@ -37,7 +37,14 @@ from cornercase.drivers.process._messages import (
     pack_column,
     read_answer,
 )
-from cornercase.drivers.process._program import TCP_PREFIX, Connection, Peer, Program, find_executable, parse_address
+from cornercase.drivers.process._program import (
+    TCP_PREFIX,
+    Connection,
+    Peer,
+    Program,
+    parse_address,
+    resolve_command_words,
+)
 
 _MAX_FAILURE_LENGTH, _MAX_POINTS = 500, 1000
 # Default time limits in s.
@@ -112,7 +119,7 @@ class ProcessFunction(DrivingFunction):
         except ValueError as error:
             raise InputError(f"The driver 'exec:{self._command}' cannot be split into words: {error}.") from error
         if self._words:
-            find_executable(self._command, self._words)
+            resolve_command_words(self._command, self._words)
         elif self._command.startswith(TCP_PREFIX):
             parse_address(self._command)
         else:
@@ -126,7 +133,7 @@ class ProcessFunction(DrivingFunction):
                 f"The driver '{self._text}' contains '{SEPARATOR}', which separates driver and sensors; if it belongs"
                 " to the command, put it in double quotes."
             )
-        self.settings = {"driver": self._text, "options": {}, **_fingerprint(self._words)}
+        self.settings = {"driver": self._text, "options": {}, **_hash_command_files(self._words)}
         self._peer: Peer | None = None
 
     def __str__(self) -> str:
@@ -211,12 +218,12 @@ class ProcessFunction(DrivingFunction):
             "seeds": [int(start.generator(n, "driver").integers(2**53)) for n in range(start.scenarios)],
             "friction": pack_column(start.friction),
         }
-        answer = self._ask(message, "ready", self._start_timeout, 0.0)
+        answer = self._request_answer(message, "ready", self._start_timeout, 0.0)
         try:
             _, failures = read_answer(answer, start.scenarios)
         except ProtocolError as error:
             raise self._fail(str(error), 0.0) from error
-        self._failures = {n: self._describe_failure(text, 0.0) for n, text in failures.items()}
+        self._failures = {n: self._make_scenario_error(text, 0.0) for n, text in failures.items()}
 
     def decide(self, situation: Situation) -> Controls:
         """Send the situation to the program, and return its decisions in all active scenarios."""
@@ -242,7 +249,7 @@ class ProcessFunction(DrivingFunction):
             message["others"] = [dict(zip(names, other, strict=True)) for other in others]
         if seen.signals:
             message["signals"] = {name: states.tolist() for name, states in seen.signals.items()}
-        answer = self._ask(message, "control", self._timeout, situation.time)
+        answer = self._request_answer(message, "control", self._timeout, situation.time)
         try:
             decided, failures = read_answer(answer, len(rows))
         except ProtocolError as error:
@@ -254,7 +261,7 @@ class ProcessFunction(DrivingFunction):
             controls,
             trajectories={numbers[row]: trajectory for row, trajectory in decided.trajectories.items()},
             # A failure at the start of the batch is the reason for later failures.
-            failures={numbers[row]: self._describe_failure(text, situation.time) for row, text in failures.items()}
+            failures={numbers[row]: self._make_scenario_error(text, situation.time) for row, text in failures.items()}
             | {n: failure for n, failure in self._failures.items() if situation.active[n]},
         )
 
@@ -274,7 +281,7 @@ class ProcessFunction(DrivingFunction):
         where = f"The driver '{self._text}'"
         try:
             if self._words:
-                peer: Peer = Program(find_executable(self._command, self._words), self._log)
+                peer: Peer = Program(resolve_command_words(self._command, self._words), self._log)
             else:
                 peer = Connection(*parse_address(self._command), self._start_timeout)
         except OSError as error:
@@ -350,7 +357,7 @@ class ProcessFunction(DrivingFunction):
             )
         return [name for name in wanted if name in COLUMNS]
 
-    def _ask(self, message: Mapping[str, Any], expected: str, timeout: float, time: float) -> dict[str, Any]:
+    def _request_answer(self, message: Mapping[str, Any], expected: str, timeout: float, time: float) -> dict[str, Any]:
         assert self._peer is not None
         try:
             answer = self._peer.ask(message, timeout)
@@ -371,7 +378,7 @@ class ProcessFunction(DrivingFunction):
         message = f"{self._display_name} failed{format_time_of_failure(time)}: {reason}"
         return RunLostError(message) if was_killed else PluginError(message)
 
-    def _describe_failure(self, text: str, time: float) -> SimulationError:
+    def _make_scenario_error(self, text: str, time: float) -> SimulationError:
         """Return the error of one scenario, with the reason `text` that the program gives."""
         return PluginError(f"{self._display_name} failed{format_time_of_failure(time)}: {_on_one_line(text)}")
 
@@ -428,7 +435,7 @@ def _parse_value(text: str) -> bool | float | str:
     return int(number) if number.is_integer() and text.lstrip("+-").isdecimal() else number
 
 
-def _fingerprint(words: list[str]) -> dict[str, str]:
+def _hash_command_files(words: list[str]) -> dict[str, str]:
     """Return ``{"sha256": …}`` for all files among the words of a command; an empty dict if there are none."""
     paths = [path for word in words if (path := Path(word.rpartition("=")[2])).is_file()]
     # If no word is a file, the program is found by PATH.

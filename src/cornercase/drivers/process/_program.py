@@ -48,7 +48,7 @@ class Peer(ABC):
     def __init__(self, output: BinaryIO, answers: BufferedReader) -> None:
         self._output, self._answers = output, answers
         self._deadline, self._timed_out, self._closed = math.inf, False, Event()
-        self._watchdog = Thread(target=self._watch, daemon=True, name="time limit of a driver")
+        self._watchdog = Thread(target=self._enforce_deadline, daemon=True, name="time limit of a driver")
         self._watchdog.start()
 
     def ask(self, message: Mapping[str, Any], timeout: float) -> dict[str, Any]:
@@ -75,7 +75,7 @@ class Peer(ABC):
         with suppress(OSError, ValueError):
             write_message(self._output, message)
 
-    def _watch(self) -> None:
+    def _enforce_deadline(self) -> None:
         # Blocking reads have no time limit of their own.
         while not self._closed.wait(_POLL_INTERVAL):
             if time.monotonic() > self._deadline:
@@ -198,7 +198,7 @@ def parse_address(command: str) -> tuple[str, int]:
     return host.strip("[]"), int(port)
 
 
-def find_executable(command: str, words: Sequence[str]) -> list[str]:
+def resolve_command_words(command: str, words: Sequence[str]) -> list[str]:
     """Return a command's words, the first replaced by the path of the program; `InputError` if there is no program."""
     program = words[0]
     is_path = os.path.dirname(program) != ""

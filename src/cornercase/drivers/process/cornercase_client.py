@@ -86,9 +86,9 @@ class Batch:
         self.ego = message["ego"]
         self.values = message["values"]
         self.seeds = message["seeds"]
-        self.friction = doubles(message["friction"])
+        self.friction = unpack_doubles(message["friction"])
         self.options = options
-        self.parameters = {name: doubles(values) for name, values in message["parameters"].items()}
+        self.parameters = {name: unpack_doubles(values) for name, values in message["parameters"].items()}
         self.others: List[Dict[str, Any]] = []
 
     def options_of(self, scenario: int) -> Dict[str, Any]:
@@ -107,7 +107,7 @@ class Step:
         self.time: float = message["time"]
         self.time_step: float = message["time_step"]
         self.scenarios: List[int] = message["scenarios"]
-        self.columns = {name: doubles(values) for name, values in message["columns"].items()}
+        self.columns = {name: unpack_doubles(values) for name, values in message["columns"].items()}
         self.others = batch.others
         self.signals = message.get("signals", {})
         self.ahead = ahead
@@ -290,7 +290,7 @@ def serve_batches(
 ) -> None:
     """Run a driving function of whole batches; `ahead`, `port` and `host` are as in `serve`."""
     if port is None:
-        _converse(function, ahead, *_take_over_stdout())
+        _answer_messages(function, ahead, *_take_over_stdout())
         return
     with socket.socket() as listener:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -302,7 +302,7 @@ def serve_batches(
                 connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
                 # Cornercase may have closed the connection; the next connection may come.
                 with suppress(OSError):
-                    _converse(function, ahead, connection.makefile("rb"), connection.makefile("wb"))
+                    _answer_messages(function, ahead, connection.makefile("rb"), connection.makefile("wb"))
 
 
 def _take_over_stdout() -> Tuple[BinaryIO, BinaryIO]:
@@ -313,7 +313,7 @@ def _take_over_stdout() -> Tuple[BinaryIO, BinaryIO]:
     return sys.stdin.buffer, answers
 
 
-def _converse(function: BatchFunction, ahead: Sequence[float], messages: BinaryIO, answers: BinaryIO) -> None:
+def _answer_messages(function: BatchFunction, ahead: Sequence[float], messages: BinaryIO, answers: BinaryIO) -> None:
     distances = sorted(float(distance) for distance in ahead)
     options: Dict[str, Any] = {}
     while True:
@@ -323,7 +323,7 @@ def _converse(function: BatchFunction, ahead: Sequence[float], messages: BinaryI
         kind = message.get("type")
         if kind == "hello":
             options = message["options"]
-            _send(answers, _hello(message, function, distances))
+            _send(answers, _answer_hello(message, function, distances))
         elif kind == "start":
             batch = Batch(message, options)
             failures = function.start(batch) or {}
@@ -334,7 +334,7 @@ def _converse(function: BatchFunction, ahead: Sequence[float], messages: BinaryI
             _send(answers, _pack_answer(answer))
 
 
-def _hello(message: Mapping[str, Any], function: BatchFunction, ahead: List[float]) -> Dict[str, Any]:
+def _answer_hello(message: Mapping[str, Any], function: BatchFunction, ahead: List[float]) -> Dict[str, Any]:
     if message["protocol"] != PROTOCOL_VERSION:
         return {
             "type": "hello",
@@ -376,7 +376,7 @@ def _pack_answer(answer: Mapping[str, Any]) -> Dict[str, Any]:
     return packed
 
 
-def doubles(content: bytes) -> array.array[float]:
+def unpack_doubles(content: bytes) -> array.array[float]:
     """Decode little-endian doubles to an ``array('d')``."""
     values = array.array("d")
     values.frombytes(content)

@@ -11,7 +11,7 @@ import numpy as np
 
 from cornercase._common.typing import FloatArray
 from cornercase.drivers._base import Situation
-from cornercase.drivers._function import Start
+from cornercase.drivers._driving_function import Start
 from cornercase.drivers.sensors._sensor import Sensor
 
 # Length, width and centre of the box of a false object in m.

@@ -9,7 +9,7 @@ import numpy as np
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase._common.validation import check_bool, check_float, check_int
 from cornercase.drivers._base import Situation
-from cornercase.drivers._function import Start
+from cornercase.drivers._driving_function import Start
 from cornercase.drivers.sensors._sensor import SensedObjects, Sensor
 
 # False objects that a sensor may see at the same time; a further one replaces the oldest.
@@ -135,15 +135,17 @@ class ObjectSensor(Sensor):
             Name of the sensor, with which its random numbers are seeded.
         """
         self._time_step = start.time_step
-        self._option = {name: self._values(start, name) for name in self._given}
+        self._option = {name: self._option_values(start, name) for name in self._given}
         self._delay = np.ceil(self._option["latency"] / start.time_step - _ROUNDING).astype(np.int64)
         varied = {name for name in self.random_options if self._given[name] or name in start.parameters}
         n, n_others = start.scenarios, len(start.others)
         self.false_objects = _MAX_FALSE_OBJECTS if "false_rate" in varied else 0
-        self._misses = _Draws(start, f"{label}: miss", "random", (n_others,)) if "miss" in varied else None
+        self._misses = _RandomNumberBuffer(start, f"{label}: miss", "random", (n_others,)) if "miss" in varied else None
         has_noise = not varied.isdisjoint({"noise", "speed_noise"})
-        self._noise = _Draws(start, f"{label}: noise", "standard_normal", (3, n_others)) if has_noise else None
-        self._false = _Draws(start, f"{label}: false", "random", (4,)) if self.false_objects else None
+        self._noise = (
+            _RandomNumberBuffer(start, f"{label}: noise", "standard_normal", (3, n_others)) if has_noise else None
+        )
+        self._false = _RandomNumberBuffer(start, f"{label}: false", "random", (4,)) if self.false_objects else None
         self._n_false = np.zeros(n, dtype=np.int64)
         shape = n, n_others + self.false_objects
         # Last step and cycle; by object, the last measurement and the cycles in a row with and without a detection.
@@ -155,7 +157,7 @@ class ObjectSensor(Sensor):
         length = int(self._delay.max(initial=0)) + 1
         self._history, self._history_step = np.full((length, 5, *shape), np.nan), np.full((length, n), -1)
 
-    def _values(self, start: Start, name: str) -> FloatArray:
+    def _option_values(self, start: Start, name: str) -> FloatArray:
         """Return the value of an option in each of N scenarios, shape (N,)."""
         value = self._given[name]
         if value is None:
@@ -407,7 +409,7 @@ class Lidar(ObjectSensor):
         super().__init__(range=range, period=period, latency=latency, birth=birth, death=death, **options)
 
 
-class _Draws:
+class _RandomNumberBuffer:
     """Random numbers for N scenarios: an array of `shape` for each cycle of a sensor, drawn several cycles ahead.
 
     Each scenario has its own generator, so that its numbers do not depend on the batch.

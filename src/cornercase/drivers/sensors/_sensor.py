@@ -10,7 +10,7 @@ from cornercase._common.configurable import Configurable
 from cornercase._common.registry import Registry
 from cornercase._common.typing import FloatArray
 from cornercase.drivers._base import Situation
-from cornercase.drivers._function import Start
+from cornercase.drivers._driving_function import Start
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,7 @@ import numpy as np
 from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase._common.validation import check_float
-from cornercase.drivers._function import Start
+from cornercase.drivers._driving_function import Start
 from cornercase.drivers.vehicles._kernels.actuators import (
     ACTUATORS,
     N_STATE,
@@ -64,9 +64,9 @@ class ActuatedVehicle(VehicleModel):
 
     def __init__(self, *, delay: float = 0.0, lag: float = 0.0, max_jerk: float = math.inf, mu: float = 1.0) -> None:
         self._parameters: dict[str, float] = {}
-        self._set(delay=delay, lag=lag, max_jerk=max_jerk, mu=mu)
+        self._set_parameters(delay=delay, lag=lag, max_jerk=max_jerk, mu=mu)
 
-    def _set(self, **options: float) -> None:
+    def _set_parameters(self, **options: float) -> None:
         """Check options, and store them as parameters of the model."""
         for name, value in options.items():
             if value == math.inf and name.startswith("max_"):
@@ -185,7 +185,9 @@ class SteeredVehicle(ActuatedVehicle):
         **options: float,
     ) -> None:
         super().__init__(**options)
-        self._set(steering_delay=steering_delay, steering_lag=steering_lag, max_steering_rate=max_steering_rate)
+        self._set_parameters(
+            steering_delay=steering_delay, steering_lag=steering_lag, max_steering_rate=max_steering_rate
+        )
 
     @property
     def steering_response(self) -> FloatArray:

@@ -40,4 +40,4 @@ class Kinematic(SteeredVehicle):
     def __init__(self, *, wheelbase: float | None = None, **options: Any) -> None:
         super().__init__(**options)
         if wheelbase is not None:
-            self._set(wheelbase=wheelbase)
+            self._set_parameters(wheelbase=wheelbase)

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from cornercase._common.typing import FloatArray
-from cornercase.drivers._function import Body
+from cornercase.drivers._driving_function import Body
 
 # m/s²; limits of a vehicle for which the scenario file has none.
 _MAX_ACCELERATION: Final = 3.0

@@ -68,7 +68,7 @@ class SingleTrack(SteeredVehicle):
         **options: Any,
     ) -> None:
         super().__init__(mu=mu, max_steering_rate=max_steering_rate, **options)
-        self._set(
+        self._set_parameters(
             mass=mass,
             inertia=inertia,
             front_axle=front_axle,

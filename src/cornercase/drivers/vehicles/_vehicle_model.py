@@ -9,7 +9,7 @@ from typing import Final
 from cornercase._common.configurable import Configurable
 from cornercase._common.registry import Registry
 from cornercase._common.typing import BoolArray, FloatArray
-from cornercase.drivers._function import Start
+from cornercase.drivers._driving_function import Start
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,13 +14,13 @@ from scipy.linalg import LinAlgError, cho_solve, cholesky
 from scipy.linalg.lapack import dpotri, dtrtri
 
 from cornercase._common.typing import FloatArray, IntArray
-from cornercase.evidence.gp._blas import (
+from cornercase.evidence.gp._matern_kernel import MaternKernel, evenly_spaced_indices
+from cornercase.evidence.gp._triangular_products import (
     gram_lower_half,
     multiply_by_lower_transposed,
     multiply_by_transposed,
     multiply_lower_triangular,
 )
-from cornercase.evidence.gp._kernel import MaternKernel, evenly_spaced_indices
 
 MAX_EXACT_VALUES = 512
 """Greatest number of values of the exact posterior, and number of inducing points for more values."""
@@ -180,7 +180,7 @@ def cholesky_with_slack(covariance: FloatArray, slack: float) -> FloatArray:
     return np.asarray(cholesky(covariance, lower=True))
 
 
-def condition_process(
+def make_posterior(
     kernel: MaternKernel,
     points: FloatArray,
     values: FloatArray,

@@ -166,7 +166,7 @@ def _visits_of_shared_stretches(a: _SweptArea, b: _SweptArea) -> list[tuple[Area
     pairs = [
         (
             _visit_of_area(a, b, overlap.steps_of_first_path(), overlap.overlaps_of_step),
-            _visit_of_area(b, a, overlap.steps_of_second_path(), overlap.steps_overlapping),
+            _visit_of_area(b, a, overlap.steps_of_second_path(), overlap.overlaps_of_other_step),
         )
         for overlap in _find_overlapping_steps(a, b).connected_components()
     ]

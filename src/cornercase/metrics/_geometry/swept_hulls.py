@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from cornercase._common.geometry.aabb_tree import append_run, next_overlapping_leaf, node_after_subtree
+from cornercase._common.geometry.aabb_tree import append_overlap_run, next_overlapping_leaf, node_after_subtree
 from cornercase._common.numba.kernel import kernel
 
 _MARGIN = 1e-3  # m by which bounds are wider than a hull
@@ -78,7 +78,7 @@ def find_overlapping_hulls(corners_a, axes_a, center_a, radius_a, corners_b, axe
                 and _widest_gap_on_axes(corners_a[i], axes_a[i], corners_b[j], axes_b[j], True) <= 0.0
             ):
                 if j != last + 1:
-                    runs = append_run(runs, count, i, j)
+                    runs = append_overlap_run(runs, count, i, j)
                     count += 1
                 runs[count - 1, 2] = last = j
             node = next_overlapping_leaf(tree, node_after_subtree(node), low_x, low_y, high_x, high_y)

@@ -36,10 +36,10 @@ def measure_features(recording: Recording, outcome: Outcome, poses: Poses | None
 
     `poses` are the poses in the recording; by default they are computed again.
     """
-    return measure_all_features(recording, (outcome,), poses)[0]
+    return measure_features_per_outcome(recording, (outcome,), poses)[0]
 
 
-def measure_all_features(
+def measure_features_per_outcome(
     recording: Recording, outcomes: Sequence[Outcome], poses: Poses | None = None
 ) -> tuple[dict[str, float], ...]:
     """Measure the features of `measure_features` for each of several outcomes of one recording.

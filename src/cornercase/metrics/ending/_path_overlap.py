@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from cornercase._common.geometry.aabb_tree import (
-    append_run,
+    append_overlap_run,
     build_aabb_tree,
     next_overlapping_leaf,
     node_after_subtree,
@@ -221,7 +221,7 @@ def _find_overlap_runs(poses_a, size_a, poses_b, size_b, tree):
                 x, y, poses_a[2, i], poses_a[3, i], size_a, poses_b[2, j], poses_b[3, j], size_b
             ):
                 if j != last + 1:
-                    runs = append_run(runs, count, i, j)
+                    runs = append_overlap_run(runs, count, i, j)
                     count += 1
                 runs[count - 1, 2] = last = j
             node = next_overlapping_leaf(tree, node_after_subtree(node), low_x, low_y, high_x, high_y)

@@ -182,9 +182,9 @@ def format_node(node: Node, as_condition: bool = False) -> str:
     inner = [format_node(operand, as_condition) for operand in node.operands]
     if len(inner) == 1:
         if as_condition or name == "no":
-            return f"{name} ({inner[0]})" if _is_connection(node.operands[0]) else f"{name} {inner[0]}"
+            return f"{name} ({inner[0]})" if _needs_brackets(node.operands[0]) else f"{name} {inner[0]}"
         return f"{name}({inner[0]})"
-    parts = (f"({text})" if _is_connection(part) else text for part, text in zip(node.operands, inner, strict=True))
+    parts = (f"({text})" if _needs_brackets(part) else text for part, text in zip(node.operands, inner, strict=True))
     return f" {name} ".join(parts)
 
 
@@ -207,7 +207,7 @@ def _format_leaf(leaf: Leaf, as_condition: bool) -> str:
             return f"ego leaves {'its' if what == 'lane' else 'the'} {what}"
 
 
-def _is_connection(node: Node) -> bool:
+def _needs_brackets(node: Node) -> bool:
     return isinstance(node, Operation) and len(node.operands) > 1 and node.operator != "unless"
 
 

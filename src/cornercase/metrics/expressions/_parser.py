@@ -97,18 +97,18 @@ class _Parser:
             self.fail(f"it has {len(self.text)} characters; give {_MAX_LENGTH} at most.")
         if self.position == len(self.text):
             self.fail("give a bound such as ttc > 1.5, or a statement such as 'no collision'.")
-        root = self.parse_connected(0)
+        root = self.parse_binary_operators(0)
         if self.position < len(self.text):
-            self._fail_at_rest()
+            self._fail_on_remaining_text()
         return self._compare_scores(root) if self.language == "condition" else root
 
-    def parse_connected(self, level: int) -> Node:
+    def parse_binary_operators(self, level: int) -> Node:
         if level == len(_CONNECTIVES):
             return self.parse_until()
         operator = _CONNECTIVES[level]
-        parts = [self.parse_connected(level + 1)]
+        parts = [self.parse_binary_operators(level + 1)]
         while self.take("->") if operator == "->" else self.word(operator):
-            parts.append(self.parse_connected(level + 1))
+            parts.append(self.parse_binary_operators(level + 1))
         if operator != "->":
             return self._operation(operator, *parts) if len(parts) > 1 else parts[0]
         node = parts.pop()
@@ -138,10 +138,10 @@ class _Parser:
             interval = None if name == "not" else self.parse_interval()
             node: Node = self._operation(cast(Operator, name), self.parse_unary(is_operand=True), interval=interval)
         elif self.take(r"\("):
-            node = self.parse_connected(0)
+            node = self.parse_binary_operators(0)
             if not self.take(r"\)"):
                 if self.position < len(self.text):
-                    self._fail_at_rest()
+                    self._fail_on_remaining_text()
                 self.fail("give a closing bracket ')'.")
         else:
             node = self.parse_statement()
@@ -374,7 +374,7 @@ class _Parser:
         if depth > _MAX_DEPTH:
             self.fail(f"brackets and operators are nested more than {_MAX_DEPTH} deep.", self.position)
 
-    def _fail_at_rest(self) -> NoReturn:
+    def _fail_on_remaining_text(self) -> NoReturn:
         if self.peek(r"\)"):
             self.fail("this bracket has no opening bracket; remove it.")
         name = self.peek(_NAME) or ""

@@ -52,7 +52,7 @@ class ConflictApproach:
     along_road: bool
 
     @property
-    def turns_hide_lanes(self) -> bool:
+    def is_lane_change_ambiguous(self) -> bool:
         """True if both turn to the same side, and no road says which of them left its lane."""
         both_turn = min(map(abs, self.turns)) >= STRAIGHT and self.turns[0] * self.turns[1] > 0.0
         return both_turn and not self.along_road
@@ -66,7 +66,7 @@ def describe_approach(
     pair = (first, second)
     starts = [party.direction_at(begin) for party in pair]
     ends = [party.direction_at(contact) for party in pair]
-    by_road = None if network is None else _shifts_along_road(network, pair, contact, begin)
+    by_road = None if network is None else _lateral_shifts_on_road(network, pair, contact, begin)
     times = [_time_in_corridor(party, other, contact, begin) for party, other in ((first, second), (second, first))]
     return ConflictApproach(
         angle=abs(float(wrap_angle(ends[1] - ends[0]))),
@@ -74,7 +74,8 @@ def describe_approach(
         turns=(float(wrap_angle(ends[0] - starts[0])), float(wrap_angle(ends[1] - starts[1]))),
         in_corridor=(times[0], times[1]),
         always_in_corridor=(times[0] >= contact - begin - _STEP, times[1] >= contact - begin - _STEP),
-        shifts=by_road or (_shift(first, second, contact, begin), _shift(second, first, contact, begin)),
+        shifts=by_road
+        or (_lateral_shift(first, second, contact, begin), _lateral_shift(second, first, contact, begin)),
         along_road=by_road is not None,
     )
 
@@ -94,7 +95,7 @@ def _time_in_corridor(party: Party, other: Party, contact: float, begin: float) 
     return _STEP * (int(is_free.argmax()) if is_free.any() else len(instants))
 
 
-def _shifts_along_road(
+def _lateral_shifts_on_road(
     network: RoadNetwork, pair: tuple[Party, Party], contact: float, begin: float
 ) -> tuple[float, float] | None:
     """Return the distances in m by which both parties left their first lines, measured along one road.
@@ -121,7 +122,7 @@ def _shifts_along_road(
     return float(towards * (aside[1] - aside[0])), float(-towards * (aside[3] - aside[2]))
 
 
-def _shift(party: Party, other: Party, contact: float, begin: float) -> float:
+def _lateral_shift(party: Party, other: Party, contact: float, begin: float) -> float:
     """Return the distance in m by which a party left its first, straight line until the contact.
 
     It is positive towards the side on which the other was at the beginning.

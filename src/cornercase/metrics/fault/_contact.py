@@ -53,7 +53,7 @@ def find_contact(recording: Recording, names: tuple[str, str], reported: float) 
     touches = boxes_touch(first, first.poses_at(times), second, second.poses_at(times))
     if not touches[-1]:
         low = high = float(times[-1])
-        if not boxes_overlap(*(_grown(party, high, 0.5 * _TOUCHING_GAP) for party in parties)):
+        if not boxes_overlap(*(_corners_with_margin(party, high, 0.5 * _TOUCHING_GAP) for party in parties)):
             return "their boxes do not touch in the recording"
         low = float(times[-2]) if len(times) > 1 else high
     else:
@@ -65,7 +65,7 @@ def find_contact(recording: Recording, names: tuple[str, str], reported: float) 
             grid = np.linspace(low, high, _N_PARTS + 1)
             start = int(boxes_touch(first, first.poses_at(grid), second, second.poses_at(grid))[1:].argmax())
             low, high = float(grid[start]), float(grid[start + 1])
-    boxes = [_grown(party, high, 0.01 if touches[-1] else 0.5 * _TOUCHING_GAP) for party in parties]
+    boxes = [_corners_with_margin(party, high, 0.01 if touches[-1] else 0.5 * _TOUCHING_GAP) for party in parties]
     point = _overlap_center(*boxes)
     # The motion before the contact: a simulator may have changed it at the contact.
     before = low if touches[-1] else min(low, high)
@@ -74,7 +74,7 @@ def find_contact(recording: Recording, names: tuple[str, str], reported: float) 
     return Contact(high, (float(point[0]), float(point[1])), (sides[0], sides[1]))
 
 
-def _grown(party: Party, time: float, margin: float) -> FloatArray:
+def _corners_with_margin(party: Party, time: float, margin: float) -> FloatArray:
     """Return the corners of the box of a party at a time in s, with a margin in m around the box, shape (4, 2)."""
     x, y, heading = (np.interp(time, party.time, values) for values in (party.x, party.y, party.heading))
     return box_corners(x, y, heading, party.size[0] + 2.0 * margin, party.size[1] + 2.0 * margin)

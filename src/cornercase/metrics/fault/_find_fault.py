@@ -10,12 +10,18 @@ from typing import Final
 import numpy as np
 
 from cornercase._common.text.sanitize import quote_name
-from cornercase.drivers._competent_driver import min_cut_in_time
+from cornercase.drivers._competent_driver import min_avoidable_time_to_collision
 from cornercase.metrics._outcome import Conflict, Culprit, Fault
 from cornercase.metrics.fault._approach import STRAIGHT, TURN, ConflictApproach, describe_approach
+from cornercase.metrics.fault._avoidability import (
+    REACTION_TIME,
+    AvoidanceChance,
+    can_brake,
+    find_chance,
+    find_latest_braking,
+)
 from cornercase.metrics.fault._contact import Contact, find_contact
 from cornercase.metrics.fault._party import STANDING_SPEED, Party, iter_obstacles
-from cornercase.metrics.fault._reaction import REACTION_TIME, Chance, can_brake, find_chance, find_latest_braking
 from cornercase.metrics.fault._right_of_way import find_who_yields, is_on_wrong_side, roads_of
 from cornercase.recordings import Collision, Recording
 from cornercase.roads._network import RoadNetwork
@@ -84,8 +90,8 @@ def find_fault(recording: Recording, ego: str, collision: Collision) -> Fault:
     if any(len(party.time) < 2 for party in parties):
         return Fault("undecided", "unknown", contact.sides, contact.point, ("their motion before is unknown",))
     obstacles = list(iter_obstacles(recording, (ego, other), contact.time))
-    case = _Case(parties[0], parties[1], contact, obstacles, roads_of(recording))
-    ruling = case.rule()
+    case = _CollisionCase(parties[0], parties[1], contact, obstacles, roads_of(recording))
+    ruling = case.apply_rules()
     who: Culprit = (
         "undecided" if not ruling.guilty else "both" if len(ruling.guilty) == 2 else ("ego", "other")[ruling.guilty[0]]
     )
@@ -93,21 +99,21 @@ def find_fault(recording: Recording, ego: str, collision: Collision) -> Fault:
     return Fault(who, ruling.conflict, contact.sides, contact.point, (ruling.reason.format(*names),))
 
 
-class _Case:
+class _CollisionCase:
     """A collision of two parties, 0 and 1, with quantities that several rules need, and the rules."""
 
     def __init__(
         self, first: Party, second: Party, contact: Contact, obstacles: Sequence[Party], roads: RoadNetwork | None
     ) -> None:
         self.parties, self.contact, self._obstacles, self._roads = (first, second), contact, obstacles, roads
-        self._chances: dict[int, Chance] = {}
+        self._chances: dict[int, AvoidanceChance] = {}
         self.speeds = [party.speed_at(contact.time) for party in self.parties]
 
     @cached_property
     def approach(self) -> ConflictApproach:
         return describe_approach(*self.parties, self.contact.time, self._roads)
 
-    def chance(self, k: int) -> Chance:
+    def chance(self, k: int) -> AvoidanceChance:
         """Return the chance that party `k` had to avoid the other party."""
         if k not in self._chances:
             self._chances[k] = find_chance(*self._pair(k), self.contact.time, self._obstacles)
@@ -117,13 +123,13 @@ class _Case:
         return self.parties[k], self.parties[1 - k]
 
     @cached_property
-    def _yields(self) -> int | None:
+    def _yielding_party(self) -> int | None:
         """The party (0 or 1) that has to yield by the road file; None if it does not say, or a party is on foot."""
         if self._roads is None or any(party.is_pedestrian for party in self.parties):
             return None
         return find_who_yields(self._roads, self.parties, self.contact.time)
 
-    def rule(self) -> _Ruling:
+    def apply_rules(self) -> _Ruling:
         """Apply the rules in their order, and return the result of the first rule that applies."""
         approach, is_on_foot = self.approach, any(party.is_pedestrian for party in self.parties)
         stands = [abs(speed) < STANDING_SPEED for speed in self.speeds]
@@ -163,7 +169,7 @@ class _Case:
         if not is_late or self.chance(moving).could_avoid or not self.chance(standing).could_avoid:
             since = "all the time" if stopped is None else f"for {stopped:.1f} s"
             blocks = stopped is not None and stopped <= _RECENTLY and not self.approach.always_in_corridor[standing]
-            if blocks and self._yields == standing:
+            if blocks and self._yielding_party == standing:
                 return _Ruling(
                     (standing,), "standing",
                     f"{{{standing}}} has to yield to {{{moving}}} at the junction, and has stood in its way {since}",
@@ -184,7 +190,7 @@ class _Case:
         """Decide who is at fault if one party drives into the rear of the other; None if no party does."""
         for behind, ahead in ((0, 1), (1, 0)):
             if self.contact.sides[behind] == "front" and self.contact.sides[ahead] == "rear":
-                late = self._cut_in_time(behind, ahead)
+                late = self._cut_in_ttc_and_limit(behind, ahead)
                 if late is None:
                     return _Ruling((behind,), "rear end", f"{{{behind}}} drives into the rear of {{{ahead}}}")
                 ttc, least = late
@@ -200,7 +206,7 @@ class _Case:
                 )  # fmt: skip
         return None
 
-    def _cut_in_time(self, behind: int, ahead: int) -> tuple[float, float] | None:
+    def _cut_in_ttc_and_limit(self, behind: int, ahead: int) -> tuple[float, float] | None:
         """Return the time to collision in s when the party ahead cut in, and the least one that is allowed.
 
         None if the party ahead did not cut in, or if the gap did not shrink then.
@@ -219,12 +225,12 @@ class _Case:
         gap = float(
             (front.corners(front.poses_at(at))[0] @ along).min() - (rear.corners(rear.poses_at(at))[0] @ along).max()
         )
-        return max(gap, 0.0) / closing, min_cut_in_time(closing)
+        return max(gap, 0.0) / closing, min_avoidable_time_to_collision(closing)
 
     def _rule_lane_change(self) -> _Ruling:
         shifts = self.approach.shifts
         drifting = [k for k in (0, 1) if shifts[k] >= _LEFT_LINE]
-        if self.approach.turns_hide_lanes:
+        if self.approach.is_lane_change_ambiguous:
             return _Ruling((), "lane change", "both turn, and the motion does not show who left its lane")
         if len(drifting) == 1:
             (k,) = drifting
@@ -244,9 +250,9 @@ class _Case:
             conflict: Conflict = "reversing"
             reason = f"{{{k}}} backs into the way of {{{1 - k}}}"
         else:
-            if self._yields is None:
+            if self._yielding_party is None:
                 return None
-            k, conflict = self._yields, "crossing"
+            k, conflict = self._yielding_party, "crossing"
             reason = f"{{{k}}} has to yield to {{{1 - k}}} at the junction"
         noticed = self.approach.in_corridor[k]
         if noticed > REACTION_TIME and can_brake(*self._pair(1 - k), self.contact.time - noticed):
@@ -268,7 +274,7 @@ class _Case:
         if len(left) == 1:
             (k,) = left
             return _Ruling((k,), "oncoming", f"{{{k}}} leaves its line by {abs(shifts[k]):.1f} m, towards {{{1 - k}}}")
-        if self.approach.turns_hide_lanes:
+        if self.approach.is_lane_change_ambiguous:
             return _Ruling((), "oncoming", "both turn, and the motion does not show who left its lane")
         return _Ruling((0, 1), "oncoming", "{0} and {1} leave their lines, towards each other")
 

@@ -61,7 +61,7 @@ class Party:
             recording.time[instants],
             center[instants, 0],
             center[instants, 1],
-            _without_jumps(recording.heading[i, instants]),
+            _unwrap_headings(recording.heading[i, instants]),
             recording.speed[i, instants],
             (float(recording.length[i]), float(recording.width[i])),
         )
@@ -121,7 +121,7 @@ class Party:
         return box_corners(*poses, *self.size)
 
 
-def _without_jumps(heading: FloatArray) -> FloatArray:
+def _unwrap_headings(heading: FloatArray) -> FloatArray:
     """Unwrap headings in rad, unless they have no jump by 2π, which is quick to check."""
     return np.unwrap(heading) if len(heading) > 1 and np.abs(heading[1:] - heading[:-1]).max() > np.pi else heading
 

@@ -55,7 +55,8 @@ def find_who_yields(network: RoadNetwork, parties: tuple[Party, Party], contact:
     junctions = [{network.roads[k].junction for k in route} - {"", "-1"} for route in routes]
     for junction in sorted(junctions[0] & junctions[1]):
         entries = [
-            _road_into(network, junction, route, party, contact) for route, party in zip(routes, parties, strict=True)
+            _find_entry_and_junction_road(network, junction, route, party, contact)
+            for route, party in zip(routes, parties, strict=True)
         ]
         ids = [
             {network.roads[k].road_id for k in route} if entry is None else set(entry)
@@ -70,11 +71,11 @@ def find_who_yields(network: RoadNetwork, parties: tuple[Party, Party], contact:
         if yields[0] != yields[1]:
             return yields.index(True)
         if not priorities and not any(yields) and entries[0] is not None and entries[1] is not None:
-            return _find_who_comes_from_the_left(network, junction, (entries[0][0], entries[1][0]))
+            return _find_who_yields_to_the_right(network, junction, (entries[0][0], entries[1][0]))
     return None
 
 
-def _find_who_comes_from_the_left(network: RoadNetwork, junction: str, roads: tuple[str, str]) -> int | None:
+def _find_who_yields_to_the_right(network: RoadNetwork, junction: str, roads: tuple[str, str]) -> int | None:
     """Return which of two parties (0 or 1) has to yield since the other comes from the right.
 
     In left-hand traffic, since the other comes from the left. `roads` are the ids of the roads that the parties come
@@ -138,7 +139,7 @@ def _leads_forward_into(road: Road, junction: str) -> bool:
     return road.successor is not None and road.successor.target_id == junction
 
 
-def _road_into(
+def _find_entry_and_junction_road(
     network: RoadNetwork, junction: str, route: list[int], party: Party, contact: float
 ) -> tuple[str, str] | None:
     """Return the ids of the road from which a party enters a junction, and of its road through the junction.

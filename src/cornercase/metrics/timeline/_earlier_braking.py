@@ -12,8 +12,8 @@ from typing import Final, Literal
 import numpy as np
 
 from cornercase._common.typing import FloatArray
+from cornercase.metrics.fault._avoidability import REACTION_TIME, can_stop, full_braking_speeds
 from cornercase.metrics.fault._party import Party, boxes_touch
-from cornercase.metrics.fault._reaction import REACTION_TIME, can_stop, full_braking_speeds
 from cornercase.metrics.timeline._find_events import ANTICIPATION, BRAKING, EncounterEvents, find_events
 from cornercase.recordings import Recording
 
@@ -43,7 +43,7 @@ Reply = Literal["none", "brakes", "drives on"]
 
 
 @dataclass(frozen=True)
-class CollisionReply:
+class EgoReaction:
     """Reaction of the ego to a collision with another entity, and what else would have avoided the collision.
 
     `reply` is ``"none"`` if the ego did not brake, ``"brakes"`` if it braked or stood until the contact, and ``"drives
@@ -67,7 +67,7 @@ class CollisionReply:
     avoided: bool | None
 
 
-def find_reply(recording: Recording, ego: str, other: str, contact: float) -> CollisionReply | None:
+def find_ego_reaction(recording: Recording, ego: str, other: str, contact: float) -> EgoReaction | None:
     """Find how the ego reacted to a collision at the time `contact` in s, and what else would have avoided it.
 
     None if the motion of one of the entities is unknown.
@@ -82,7 +82,7 @@ def find_reply(recording: Recording, ego: str, other: str, contact: float) -> Co
     too_late = events.foresees is None or not can_stop(party, partner, max(events.foresees, begin))
     if sees is None or events.brakes is None or events.brakes < begin:
         avoided = None if events.foresees is None else encounter.is_avoided_by_full_braking(events.foresees)
-        return CollisionReply(events, "none", None, too_late, None, avoided)
+        return EgoReaction(events, "none", None, too_late, None, avoided)
     reaction = None
     if events.foresees is not None and events.brakes >= events.foresees - ANTICIPATION - _TOLERANCE:
         reaction = events.brakes - events.foresees
@@ -95,7 +95,7 @@ def find_reply(recording: Recording, ego: str, other: str, contact: float) -> Co
         times, speeds = times[: lowest + 1], speeds[: lowest + 1]
     avoided_by = tuple(encounter.is_avoided_by_braking(times, speeds, earlier, sees) for earlier in EARLIER)
     waits = encounter.is_avoided_by_braking(times, speeds, 0.0, sees) if drives_on else None
-    return CollisionReply(events, "drives on" if drives_on else "brakes", reaction, too_late, avoided_by, waits)
+    return EgoReaction(events, "drives on" if drives_on else "brakes", reaction, too_late, avoided_by, waits)
 
 
 @dataclass(frozen=True, eq=False)

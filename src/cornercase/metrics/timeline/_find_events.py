@@ -13,11 +13,11 @@ from typing import Final
 import numpy as np
 
 from cornercase._common.typing import BoolArray, FloatArray
-from cornercase.drivers._sight import find_visible_others
+from cornercase.drivers._visible_entities import find_visible_others
 from cornercase.metrics.ending._box_gap import smallest_box_gap
 from cornercase.metrics.ending._poses import Poses
+from cornercase.metrics.fault._avoidability import find_foreseeable_dangers, find_foreseeable_time
 from cornercase.metrics.fault._party import Party, iter_obstacles
-from cornercase.metrics.fault._reaction import find_foreseeable, is_danger_foreseeable
 from cornercase.recordings import Recording
 
 SLOWING: Final = 0.4
@@ -94,7 +94,7 @@ def find_events(recording: Recording, ego: str, other: str, contact: float | Non
     closest = float(time[instant])
     anchor = closest if contact is None else contact
     before = time <= anchor + 1e-9
-    seen = _find_sight(entities, i, j) & shared & before
+    seen = _is_other_visible(entities, i, j) & shared & before
     runs = _find_runs(seen, time)
     sees = None if not runs else float(time[runs[-1][0]])
     foresees = _find_danger(entities, ego, other, anchor, contact is not None)
@@ -107,7 +107,7 @@ def find_events(recording: Recording, ego: str, other: str, contact: float | Non
     return EncounterEvents(other, sees, foresees, slows, brakes, contact, closest, float(gap))
 
 
-def _find_sight(recording: Recording, ego_index: int, other_index: int) -> BoolArray:
+def _is_other_visible(recording: Recording, ego_index: int, other_index: int) -> BoolArray:
     """Return whether the ego can see the other entity at each instant, shape (T,)."""
     watched = [k for k in range(len(recording.names)) if k != ego_index]
     boxes = np.array([recording.length, recording.width, recording.center_x], dtype=np.float64)
@@ -154,9 +154,9 @@ def _find_danger(recording: Recording, ego: str, other: str, anchor: float, touc
         return None
     obstacles = iter_obstacles(recording, (ego, other), end, back)
     if touches:
-        foreseeable, _ = find_foreseeable(party, partner, anchor, obstacles)
+        foreseeable, _ = find_foreseeable_time(party, partner, anchor, obstacles)
         return anchor - foreseeable if foreseeable > 0.0 else None
-    instants, is_danger = is_danger_foreseeable(party, partner, anchor, obstacles)
+    instants, is_danger = find_foreseeable_dangers(party, partner, anchor, obstacles)
     runs = _find_runs(is_danger[::-1], instants[::-1])
     return float(instants[::-1][runs[-1][0]]) if runs else None
 

@@ -12,7 +12,7 @@ import numpy as np
 from lxml import etree
 
 from cornercase._common.errors import InputError
-from cornercase._common.extras import describe_install
+from cornercase._common.optional_packages import describe_install
 from cornercase.recordings._from_samples import EntitySamples, recording_from_samples
 from cornercase.recordings._recording import Recording
 from cornercase.scenario._xml import read_xml

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from cornercase._common.errors import InputError
-from cornercase._common.extras import describe_install
+from cornercase._common.optional_packages import describe_install
 from cornercase._common.text.sanitize import format_exception
 from cornercase.recordings._from_samples import EntitySamples, recording_from_samples
 from cornercase.recordings._osi_messages import NAME_PREFIX, REFERENCE_TYPE

@@ -188,12 +188,12 @@ class _SelectionTask:
             self._add_from_sample(selection, composition, n_first)
         is_critical = np.isin(self.labels, self.critical_clusters)
         sums = CoverageSums(self.distances, is_critical, composition, self.size, self.max_in_memory)
-        search = sums.search_greedily(selection.indices)
+        search = sums.start_greedy_search(selection.indices)
         while not selection.is_complete and (best := search.pop_best_candidate()) is not None:
             if selection.add(Selected(best, int(self.labels[best]), "gap")):
                 search.add(best)
         if len(self.labels) <= _MAX_EXCHANGED:
-            indices = sums.exchange(selection.indices, n_fixed, selection)
+            indices = sums.exchange_selected(selection.indices, n_fixed, selection)
             selection.selected[n_fixed:] = [
                 Selected(index, int(self.labels[index]), "gap") for index in indices[n_fixed:]
             ]
@@ -211,7 +211,7 @@ class _SelectionTask:
             size,
             self.max_in_memory,
         )
-        search = sums.search_greedily(np.searchsorted(rows, selection.indices).tolist())
+        search = sums.start_greedy_search(np.searchsorted(rows, selection.indices).tolist())
         while len(selection.selected) < size and (best := search.pop_best_candidate()) is not None:
             index = int(rows[best])
             if selection.add(Selected(index, int(self.labels[index]), "gap")):

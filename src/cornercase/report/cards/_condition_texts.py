@@ -9,7 +9,7 @@ from typing import Final
 from lxml import etree
 
 from cornercase._common.text.sanitize import quote_name
-from cornercase.report.cards._quantity import KMH_PER_MS
+from cornercase.report.cards._settable_quantity import KMH_PER_MS
 from cornercase.scenario._scope import Scope
 
 _Describe = Callable[[etree._Element, Scope, str], str]
@@ -54,9 +54,9 @@ def _describe_condition(condition: etree._Element, scope: Scope) -> str:
         rule = "any" if triggering is None else triggering.get("triggeringEntitiesRule", "any")
         who = (" and " if rule == "all" else " or ").join(entities)
     if leaf is None:
-        return _own_name(condition)
+        return _format_kind_and_name(condition)
     describe = _DESCRIPTIONS.get(str(leaf.tag))
-    text = _own_name(condition) if describe is None else describe(leaf, scope, who)
+    text = _format_kind_and_name(condition) if describe is None else describe(leaf, scope, who)
     delay = scope.read_number(condition, "delay", 0.0)
     edge = scope.read_text(condition, "conditionEdge", "none")
     text += " no longer holds" if edge == "falling" and describe is None else ""
@@ -64,29 +64,29 @@ def _describe_condition(condition: etree._Element, scope: Scope) -> str:
     return f"{text}, {delay:g} s ago" if delay > 0.0 else text
 
 
-def _own_name(condition: etree._Element) -> str:
+def _format_kind_and_name(condition: etree._Element) -> str:
     leaf = condition.find(".//EntityCondition/*")
     leaf = condition.find("ByValueCondition/*") if leaf is None else leaf
     kind = "condition" if leaf is None else re.sub(r"(?<!^)(?=[A-Z])", " ", str(leaf.tag)).lower()
     return f"the {kind} “{condition.get('name', '')}”"
 
 
-def _rule(leaf: etree._Element, scope: Scope) -> str:
+def _describe_rule(leaf: etree._Element, scope: Scope) -> str:
     return _RULES.get(scope.read_text(leaf, "rule", "greaterOrEqual"), "")
 
 
-def _with_unit(unit: str, digits: int) -> Callable[[float], str]:
+def _make_number_formatter(unit: str, digits: int) -> Callable[[float], str]:
     return lambda value: f"{value:.{digits}f} {unit}"
 
 
-def _compare(what: str, form: Callable[[float], str]) -> _Describe:
+def _make_comparison_describer(what: str, form: Callable[[float], str]) -> _Describe:
     """Return a function that describes a comparison, such as "the headway of A to B is below 1.50 s"."""
 
     def describe(leaf: etree._Element, scope: Scope, who: str) -> str:
         other = quote_name(scope.read_text(leaf, "entityRef", ""))
         other = other if leaf.get("entityRef") else "its place"
         text = what.format(who=who, other=other)
-        return f"{text} is {_rule(leaf, scope)} {form(scope.read_number(leaf, 'value'))}"
+        return f"{text} is {_describe_rule(leaf, scope)} {form(scope.read_number(leaf, 'value'))}"
 
     return describe
 
@@ -104,7 +104,7 @@ def _describe_state(leaf: etree._Element, scope: Scope, who: str) -> str:
 
 def _describe_value(leaf: etree._Element, scope: Scope, who: str) -> str:
     name = leaf.get("parameterRef") or leaf.get("variableRef") or "value"
-    return f"{name.lstrip('$')} is {_rule(leaf, scope)} {scope.read_text(leaf, 'value')}"
+    return f"{name.lstrip('$')} is {_describe_rule(leaf, scope)} {scope.read_text(leaf, 'value')}"
 
 
 def _describe_arrival(leaf: etree._Element, scope: Scope, who: str) -> str:
@@ -130,8 +130,8 @@ def describe_position(position: etree._Element, scope: Scope) -> str:
     return "its place"
 
 
-_METRES: Final = _with_unit("m", 1)
-_SECONDS: Final = _with_unit("s", 2)
+_METRES: Final = _make_number_formatter("m", 1)
+_SECONDS: Final = _make_number_formatter("s", 2)
 _DESCRIPTIONS: Final[dict[str, _Describe]] = {
     "SimulationTimeCondition": _describe_time,
     "StoryboardElementStateCondition": _describe_state,
@@ -140,11 +140,11 @@ _DESCRIPTIONS: Final[dict[str, _Describe]] = {
     "ReachPositionCondition": _describe_arrival,
     "TraveledDistanceCondition": lambda leaf, scope, who: f"{who} has gone {scope.read_number(leaf, 'value'):.1f} m",
     "StandStillCondition": lambda leaf, scope, who: f"{who} has stood for {scope.read_number(leaf, 'duration'):g} s",
-    "SpeedCondition": _compare("the speed of {who}", format_speed),
-    "RelativeSpeedCondition": _compare("the speed of {who} less that of {other}", format_speed),
-    "AccelerationCondition": _compare("the acceleration of {who}", _with_unit("m/s²", 2)),
-    "TimeHeadwayCondition": _compare("the headway of {who} to {other}", _SECONDS),
-    "RelativeDistanceCondition": _compare("the distance of {who} to {other}", _METRES),
-    "DistanceCondition": _compare("the distance of {who} to {other}", _METRES),
-    "TimeToCollisionCondition": _compare("the time to collision of {who}", _SECONDS),
+    "SpeedCondition": _make_comparison_describer("the speed of {who}", format_speed),
+    "RelativeSpeedCondition": _make_comparison_describer("the speed of {who} less that of {other}", format_speed),
+    "AccelerationCondition": _make_comparison_describer("the acceleration of {who}", _make_number_formatter("m/s²", 2)),
+    "TimeHeadwayCondition": _make_comparison_describer("the headway of {who} to {other}", _SECONDS),
+    "RelativeDistanceCondition": _make_comparison_describer("the distance of {who} to {other}", _METRES),
+    "DistanceCondition": _make_comparison_describer("the distance of {who} to {other}", _METRES),
+    "TimeToCollisionCondition": _make_comparison_describer("the time to collision of {who}", _SECONDS),
 }

@@ -17,14 +17,14 @@ _UNMEASURED_CONTACT: Final = "unmeasured contact"
 _NONE: Final = "none"
 
 
-def clean(text: str, length: int = _MAX_NAME) -> str:
+def escape_and_shorten(text: str, length: int = _MAX_NAME) -> str:
     """Escape control characters in a text from a file or user, and shorten the text to `length` characters."""
     return shorten(escape_control_characters(text), length)
 
 
-def list_names(names: Sequence[str], conjunction: str = "and") -> str:
+def join_names(names: Sequence[str], conjunction: str = "and") -> str:
     """Join quoted names for a sentence: ``"A, B and C"``; of more than five names, the rest is only counted."""
-    texts = [quote_name(clean(name)) for name in names[:_MAX_NAMES]]
+    texts = [quote_name(escape_and_shorten(name)) for name in names[:_MAX_NAMES]]
     if len(names) > _MAX_NAMES:
         texts.append(f"{len(names) - _MAX_NAMES} more")
     *first, last = texts
@@ -35,13 +35,13 @@ def describe_contacts(meeting: Meeting) -> str:
     """Describe all contacts of the ego as part of a sentence, including contacts that the study does not measure."""
     contacts = []
     if meeting.collides:
-        contacts.append(f"with {list_names([meeting.other, *_names(meeting.further_contacts)])}")
+        contacts.append(f"with {join_names([meeting.other, *_contact_names(meeting.further_contacts)])}")
     if meeting.unmeasured_contacts:
-        contacts.append(f"with {list_names(_names(meeting.unmeasured_contacts))} {_NOT_MEASURED}")
+        contacts.append(f"with {join_names(_contact_names(meeting.unmeasured_contacts))} {_NOT_MEASURED}")
     return f"contact {', and '.join(contacts)}" if contacts else "no contact"
 
 
-def list_contacts(meetings: Sequence[Meeting | None]) -> list[dict[str, str]]:
+def list_contact_rows_by_run(meetings: Sequence[Meeting | None]) -> list[dict[str, str]]:
     """Return, for each run, the texts about its contacts by the name of the table row; empty for a run that is None."""
     # If one run has a row, all runs have it; the text is "none" in runs without this kind of contact.
     has_further = any(meeting is not None and meeting.further_contacts for meeting in meetings)
@@ -51,7 +51,7 @@ def list_contacts(meetings: Sequence[Meeting | None]) -> list[dict[str, str]]:
         rows = {}
         if meeting is not None:
             none = "none measured" if meeting.unmeasured_contacts else _NONE
-            rows["contact"] = f"with {clean(meeting.other, 20)}" if meeting.collides else none
+            rows["contact"] = f"with {escape_and_shorten(meeting.other, 20)}" if meeting.collides else none
             if has_further:
                 rows[_FURTHER_CONTACT] = _format_contacts(meeting.further_contacts)
             if has_unmeasured:
@@ -60,22 +60,22 @@ def list_contacts(meetings: Sequence[Meeting | None]) -> list[dict[str, str]]:
     return columns
 
 
-def ask_about_unmeasured(meetings: Sequence[Meeting], ego: str) -> str:
+def describe_unmeasured_contacts(meetings: Sequence[Meeting], ego: str) -> str:
     """Return a sentence that names the entities that the ego touches although no metric measures the ego against them.
 
     The sentence asks the testers to agree whether a contact with these entities fails a run, since the study does not
     judge that. The text is empty if the ego touches no entity of this kind in any of the runs.
     """
-    names = list(dict.fromkeys(name for meeting in meetings for name in _names(meeting.unmeasured_contacts)))
+    names = list(dict.fromkeys(name for meeting in meetings for name in _contact_names(meeting.unmeasured_contacts)))
     if not names:
         return ""
     return (
-        f"In the simulation {quote_name(clean(ego))} touches {list_names(names)}, which the study does not measure:"
-        f" agree whether a contact with {'it' if len(names) == 1 else 'them'} fails a run."
+        f"In the simulation {quote_name(escape_and_shorten(ego))} touches {join_names(names)}, which the study does not"
+        f" measure: agree whether a contact with {'it' if len(names) == 1 else 'them'} fails a run."
     )
 
 
-def _names(contacts: Sequence[tuple[str, float]]) -> list[str]:
+def _contact_names(contacts: Sequence[tuple[str, float]]) -> list[str]:
     return [name for name, _ in contacts]
 
 
@@ -84,4 +84,4 @@ def _format_contacts(contacts: Sequence[tuple[str, float]]) -> str:
     if not contacts:
         return _NONE
     (name, time), n_more = contacts[0], len(contacts) - 1
-    return f"{clean(name, 10)}, {time:.2f} s{f', {n_more} more' if n_more else ''}"
+    return f"{escape_and_shorten(name, 10)}, {time:.2f} s{f', {n_more} more' if n_more else ''}"

@@ -72,7 +72,7 @@ class Layout:
     drawing_height: float
 
 
-def list_settings(parameters: Sequence[Sequence[str]]) -> str:
+def format_settings_line(parameters: Sequence[Sequence[str]]) -> str:
     """Format names and rounded values of parameters in one line, for parameters that have no row in the table."""
     texts = [
         f"{shorten(name, _SETTING_LENGTH)} {shorten(value, _SETTING_LENGTH)}"
@@ -83,17 +83,17 @@ def list_settings(parameters: Sequence[Sequence[str]]) -> str:
     return ", ".join(texts)
 
 
-def arrange(texts: CardTexts) -> Layout:
+def choose_layout(texts: CardTexts) -> Layout:
     """Choose the rows and the drawing height with which a test card fits on one page."""
     low, high = _DRAWING_HEIGHTS
     n_parameters, n_parties = min(_MAX_PARAMETERS, len(texts.parameters)), min(MAX_PARTIES, len(texts.parties))
-    room = _find_room(texts, n_parameters, n_parties)
+    room = _find_height_left(texts, n_parameters, n_parties)
     while room < _MIN_DRAWING_HEIGHT and (n_parties > _MIN_PARTIES or n_parameters > _MIN_PARAMETERS):
         if n_parties > _MIN_PARTIES:
             n_parties -= 1
         else:
             n_parameters -= 1
-        room = _find_room(texts, n_parameters, n_parties)
+        room = _find_height_left(texts, n_parameters, n_parties)
     shown: list[int] = []
     for k in sorted(range(len(texts.triggers)), key=lambda k: (texts.trigger_ranks[k], k))[:_MAX_TRIGGERS]:
         height = _row_height(texts.triggers[k], _TRIGGER_CHARACTERS)
@@ -105,11 +105,11 @@ def arrange(texts: CardTexts) -> Layout:
     return Layout(n_parameters, n_parties, triggers, round(max(_MIN_DRAWING_HEIGHT, min(high, room)), 1))
 
 
-def _find_room(texts: CardTexts, n_parameters: int, n_parties: int) -> float:
+def _find_height_left(texts: CardTexts, n_parameters: int, n_parties: int) -> float:
     """Return the height in mm that is left for triggers and drawings."""
     line_lengths = [_BOLD_LINE if texts.bold else _LINE, *[_LINE] * (len(texts.lines) - 1)]
     n_lines = sum(_count_lines(text, length) for text, length in zip(texts.lines, line_lengths, strict=True))
-    n_lines += _count_lines(list_settings(texts.parameters[n_parameters:]), _LINE - 12)
+    n_lines += _count_lines(format_settings_line(texts.parameters[n_parameters:]), _LINE - 12)
     # Notes that parties or triggers were left out.
     n_lines += (n_parties < len(texts.parties)) + 1
     height = _LINE_HEIGHT * n_lines

@@ -70,10 +70,10 @@ class RoundedRun:
     is_nearest: bool = True
 
 
-def stored_run(study: StudyFile, scenario: int, values: Mapping[str, Value]) -> CardRun:
+def read_stored_run(study: StudyFile, scenario: int, values: Mapping[str, Value]) -> CardRun:
     """Return the run of a scenario as it is stored in the study."""
     recording, scores = study.recording(scenario), study.scenario_scores(scenario)
-    return _judge(study.meta, study.objective, values, recording, scores)
+    return _create_card_run(study.meta, study.objective, values, recording, scores)
 
 
 def reason_not_to_run(meta: StudyMeta) -> str:
@@ -160,10 +160,10 @@ class RoundedRunner:
         except PluginError as error:
             return str(error)
         scores = {name: float(result.score) for name, result in results.items()}
-        return _judge(meta, self._objective, rounding.values, recording, scores)
+        return _create_card_run(meta, self._objective, rounding.values, recording, scores)
 
 
-def _judge(
+def _create_card_run(
     meta: StudyMeta,
     objective: Objective,
     values: Mapping[str, Value],

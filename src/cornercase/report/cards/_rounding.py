@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from cornercase.report.cards._quantity import SettableQuantity
+from cornercase.report.cards._settable_quantity import SettableQuantity
 from cornercase.scenario import Parameter, Value
 
 # Values this close to a multiple of the step, as a share of the step, count as equal to the multiple.
@@ -35,7 +35,7 @@ def iter_roundings(
     # Further parameters only add to distances, so roundings that are not among the nearest so far can be dropped.
     # Sorting is stable, so equal distances keep their order.
     nearest: list[Rounding] = [Rounding(values, 0.0)]
-    for name, pairs in _list_neighbours(parameters, quantities, values).items():
+    for name, pairs in _list_steps_by_parameter(parameters, quantities, values).items():
         longer = [
             Rounding({**rounding.values, name: value}, math.hypot(rounding.distance, distance))
             for rounding in nearest
@@ -49,34 +49,34 @@ def count_roundings(
     parameters: Sequence[Parameter], quantities: Sequence[SettableQuantity], values: Mapping[str, Value]
 ) -> int:
     """Return the number of all roundings of a scenario, up or down in each parameter; it may be greater than 64."""
-    return math.prod(map(len, _list_neighbours(parameters, quantities, values).values()))
+    return math.prod(map(len, _list_steps_by_parameter(parameters, quantities, values).values()))
 
 
-def _list_neighbours(
+def _list_steps_by_parameter(
     parameters: Sequence[Parameter], quantities: Sequence[SettableQuantity], values: Mapping[str, Value]
 ) -> dict[str, list[tuple[float, float]]]:
     """Return by parameter the rounded values next to the value, each with its distance from the value in steps."""
     return {
-        parameter.name: _neighbours(float(values[parameter.name]), quantity.step, parameter.low, parameter.high)
+        parameter.name: _list_steps_next_to(float(values[parameter.name]), quantity.step, parameter.low, parameter.high)
         for parameter, quantity in zip(parameters, quantities, strict=True)
         if quantity.step is not None
     }
 
 
-def _neighbours(value: float, step: float, low: float, high: float) -> list[tuple[float, float]]:
+def _list_steps_next_to(value: float, step: float, low: float, high: float) -> list[tuple[float, float]]:
     """Return the multiples of `step` below and above a value, nearest first, each with its distance in steps.
 
     Multiples outside the range are left out; without any multiple, the value itself is returned.
     """
     position = value / step
     if abs(position - round(position)) <= _TOLERANCE:
-        return [(_on_step(round(position), step), 0.0)]
+        return [(_multiple_of_step(round(position), step), 0.0)]
     margin = _TOLERANCE * step
-    pairs = [(_on_step(k, step), abs(position - k)) for k in (math.floor(position), math.ceil(position))]
+    pairs = [(_multiple_of_step(k, step), abs(position - k)) for k in (math.floor(position), math.ceil(position))]
     inside = [pair for pair in pairs if low - margin <= pair[0] <= high + margin]
     return sorted(inside, key=lambda pair: pair[1]) or [(value, 0.0)]
 
 
-def _on_step(k: int, step: float) -> float:
+def _multiple_of_step(k: int, step: float) -> float:
     # Without the rounding error of the product, so that files and cards show the value that is set.
     return float(f"{k * step:.12g}")

@@ -67,25 +67,25 @@ class View:
         return np.stack([self.width / 2.0 + right, self.height / 2.0 - up], axis=1)
 
 
-def draw_course(
+def draw_paths_to_meeting(
     recording: Recording, ego: str, meeting: Meeting, road: RoadOutline | None, width_mm: float, height_mm: float
 ) -> Markup:
     """Draw the paths of all entities from above, with boxes at the start and at the meeting of ego and other."""
-    region = _region_of_course(recording, ego, meeting)
+    region = _find_region_of_paths(recording, ego, meeting)
     size = width_mm * _PER_MM, height_mm * _PER_MM
     # The view with the larger scale; the first if both scales are equal.
     view = max((View.fit(region, *size, turned, _PADDING) for turned in (False, True)), key=lambda view: view.scale)
     parts = [*_draw_road(view, road)]
     for name in _drawing_order(recording, ego, meeting):
-        parts += _draw_path(view, recording, name, meeting, _role(name, ego, meeting))
+        parts += _draw_path(view, recording, name, meeting, _css_class(name, ego, meeting))
     for name in _drawing_order(recording, ego, meeting):
-        parts += _draw_boxes(view, recording, name, meeting, _role(name, ego, meeting))
+        parts += _draw_boxes(view, recording, name, meeting, _css_class(name, ego, meeting))
     parts += _draw_labels(view, recording, ego, meeting)
     label = f"Paths of {ego} and {meeting.other} from above, with both at the start and at {meeting.time:.2f} s"
-    return _svg(view, [*parts, *_draw_point(view, meeting), *_draw_scale(view)], label)
+    return _wrap_in_svg(view, [*parts, *_draw_contact_point(view, meeting), *_draw_scale(view)], label)
 
 
-def draw_meeting(
+def draw_meeting_closeup(
     recording: Recording, ego: str, meeting: Meeting, road: RoadOutline | None, width_mm: float, height_mm: float
 ) -> Markup:
     """Draw a close-up of the boxes at the contact, or at the closest approach if there is no contact."""
@@ -99,14 +99,14 @@ def draw_meeting(
     view = View.fit(region, width_mm * _PER_MM, height_mm * _PER_MM, False)
     parts = [*_draw_road(view, road)]
     for name in _drawing_order(recording, ego, meeting):
-        parts += _draw_path(view, recording, name, meeting, _role(name, ego, meeting))
-        parts += _draw_boxes(view, recording, name, meeting, _role(name, ego, meeting), start=False)
+        parts += _draw_path(view, recording, name, meeting, _css_class(name, ego, meeting))
+        parts += _draw_boxes(view, recording, name, meeting, _css_class(name, ego, meeting), start=False)
     what = "contact" if meeting.collides else "closest approach"
     label = f"{ego} and {meeting.other} at the {what}, {meeting.time:.2f} s"
-    return _svg(view, [*parts, *_draw_point(view, meeting), *_draw_scale(view)], label)
+    return _wrap_in_svg(view, [*parts, *_draw_contact_point(view, meeting), *_draw_scale(view)], label)
 
 
-def _region_of_course(recording: Recording, ego: str, meeting: Meeting) -> Region:
+def _find_region_of_paths(recording: Recording, ego: str, meeting: Meeting) -> Region:
     corners = [_corners(recording, name)[: meeting.instant + 1] for name in (ego, meeting.other)]
     points = np.concatenate([part.reshape(-1, 2) for part in corners])
     points = points[np.isfinite(points).all(axis=1)]
@@ -121,7 +121,7 @@ def _drawing_order(recording: Recording, ego: str, meeting: Meeting) -> list[str
     return [*further, *(name for name in (meeting.other, ego) if name in recording.names)]
 
 
-def _role(name: str, ego: str, meeting: Meeting) -> str:
+def _css_class(name: str, ego: str, meeting: Meeting) -> str:
     return "ego" if name == ego else "other" if name == meeting.other else "further"
 
 
@@ -130,10 +130,10 @@ def _draw_road(view: View, road: RoadOutline | None) -> Iterator[str]:
         return
     for kind, points in road.areas:
         if _is_in_view(view, points):
-            yield f"<path class='{kind}' d='{_path(view.project(points))}Z'/>"
+            yield f"<path class='{kind}' d='{_format_svg_path(view.project(points))}Z'/>"
     for kind, points in road.lines:
         if _is_in_view(view, points):
-            yield f"<path class='{kind}' d='{_path(view.project(points))}'/>"
+            yield f"<path class='{kind}' d='{_format_svg_path(view.project(points))}'/>"
 
 
 def _is_in_view(view: View, points: FloatArray) -> bool:
@@ -149,7 +149,7 @@ def _draw_path(view: View, recording: Recording, name: str, meeting: Meeting, ro
         points = points[np.isfinite(points).all(axis=1)]
         if len(points) > 1 and np.ptp(points, axis=0).max() > 0.1:
             shown = points[np.unique(np.linspace(0, len(points) - 1, min(len(points), _MAX_PATH_POINTS)).astype(int))]
-            yield f"<path class='way {role}{after}' d='{_path(view.project(shown))}'/>"
+            yield f"<path class='way {role}{after}' d='{_format_svg_path(view.project(shown))}'/>"
 
 
 def _draw_boxes(
@@ -160,12 +160,12 @@ def _draw_boxes(
     if first is None:
         return
     if start and first <= meeting.instant:
-        yield f"<path class='box {role} start' d='{_path(view.project(corners[first]))}Z'/>"
-        yield _arrow(view, recording, name, first, role)
+        yield f"<path class='box {role} start' d='{_format_svg_path(view.project(corners[first]))}Z'/>"
+        yield _draw_heading_arrow(view, recording, name, first, role)
     if np.isfinite(corners[meeting.instant]).all():
-        yield f"<path class='box {role}' d='{_path(view.project(corners[meeting.instant]))}Z'/>"
+        yield f"<path class='box {role}' d='{_format_svg_path(view.project(corners[meeting.instant]))}Z'/>"
         if not start:
-            yield _arrow(view, recording, name, meeting.instant, role)
+            yield _draw_heading_arrow(view, recording, name, meeting.instant, role)
 
 
 def _corners(recording: Recording, name: str) -> FloatArray:
@@ -179,7 +179,7 @@ def _first_instant(corners: FloatArray) -> int | None:
     return int(present[0]) if len(present) else None
 
 
-def _arrow(view: View, recording: Recording, name: str, instant: int, role: str) -> str:
+def _draw_heading_arrow(view: View, recording: Recording, name: str, instant: int, role: str) -> str:
     """Return an arrow from the front of a box in the direction of its heading."""
     k = recording.entity_index(name)
     heading = float(recording.heading[k, instant])
@@ -191,7 +191,7 @@ def _arrow(view: View, recording: Recording, name: str, instant: int, role: str)
     side = np.array([-unit[1], unit[0]])
     tip, left, right = tail + 14.0 * unit, tail + 7.0 * unit + 4.0 * side, tail + 7.0 * unit - 4.0 * side
     shaft = f"M{tail[0]:.1f} {tail[1]:.1f}L{tip[0]:.1f} {tip[1]:.1f}"
-    return f"<path class='arrow {role}' d='{shaft}{_path(np.stack([left, tip, right]))}'/>"
+    return f"<path class='arrow {role}' d='{shaft}{_format_svg_path(np.stack([left, tip, right]))}'/>"
 
 
 def _draw_labels(view: View, recording: Recording, ego: str, meeting: Meeting) -> Iterator[str]:
@@ -208,10 +208,11 @@ def _draw_labels(view: View, recording: Recording, ego: str, meeting: Meeting) -
         x = float(np.clip(corners[:, 0].mean(), 8.0, view.width - 8.0))
         anchor = "start" if x < 60.0 else "end" if x > view.width - 60.0 else "middle"
         y = float(np.clip(y, 16.0, view.height - 8.0))
-        yield f"<text class='{_role(name, ego, meeting)}' x='{x:.1f}' y='{y:.1f}' text-anchor='{anchor}'>{text}</text>"
+        css_class = _css_class(name, ego, meeting)
+        yield f"<text class='{css_class}' x='{x:.1f}' y='{y:.1f}' text-anchor='{anchor}'>{text}</text>"
 
 
-def _draw_point(view: View, meeting: Meeting) -> Iterator[str]:
+def _draw_contact_point(view: View, meeting: Meeting) -> Iterator[str]:
     if meeting.point is not None:
         x, y = view.project(np.array([meeting.point]))[0]
         yield f"<path class='point' d='M{x - 7:.1f} {y - 7:.1f}l14 14m0 -14l-14 14'/>"
@@ -235,11 +236,11 @@ def _draw_scale(view: View) -> Iterator[str]:
         yield f"<text x='{x + tx:.1f}' y='{y + ty:.1f}' text-anchor='middle'>{name}</text>"
 
 
-def _path(points: FloatArray) -> str:
+def _format_svg_path(points: FloatArray) -> str:
     return "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in points)
 
 
-def _svg(view: View, parts: list[str], label: str) -> Markup:
+def _wrap_in_svg(view: View, parts: list[str], label: str) -> Markup:
     clean = escape(escape_control_characters(label))
     box = f"viewBox='0 0 {view.width:g} {view.height + _STRIP:g}'"
     return Markup(f"<svg {box} role='img' aria-label='{clean}'>{''.join(parts)}</svg>")

@@ -12,16 +12,16 @@ from cornercase._common.errors import InputError
 from cornercase._common.io.files import check_output_differs_from_source
 from cornercase._common.text.sanitize import escape_control_characters, shorten
 from cornercase.reduction import read_reduction
-from cornercase.report.cards._card import CardSource, describe_function, fill_card
-from cornercase.report.cards._quantity import SettableQuantity, find_settable_quantity
+from cornercase.report.cards._card_contents import CardSource, describe_entity_under_test, make_card_values
 from cornercase.report.cards._rounded_runs import (
     CardRun,
     RoundedRun,
     RoundedRunner,
+    read_stored_run,
     reason_not_to_run,
-    stored_run,
 )
 from cornercase.report.cards._rounding import count_roundings, iter_roundings
+from cornercase.report.cards._settable_quantity import SettableQuantity, find_settable_quantity
 from cornercase.report.cards._tolerances import SOURCE
 from cornercase.report.html._templates import check_page_path, render_template, write_page
 from cornercase.scenario._file import ScenarioFile
@@ -128,9 +128,9 @@ def _render_cards(study: StudyFile, ids: Sequence[int], given: Path | str | None
     rows = {row.id: row for row in study.finished_rows()}
     cards = []
     with ExitStack() as stack:
-        choose = _make_chooser(study, scenario, quantities, reason, stack)
+        choose = _make_rounding_chooser(study, scenario, quantities, reason, stack)
         for scenario_id in ids:
-            original = stored_run(study, scenario_id, rows[scenario_id].values)
+            original = read_stored_run(study, scenario_id, rows[scenario_id].values)
             entry = selected.get(scenario_id)
             source = CardSource(
                 scenario_id,
@@ -139,7 +139,7 @@ def _render_cards(study: StudyFile, ids: Sequence[int], given: Path | str | None
                 "" if entry is None else str(entry.role),
                 "" if entry is None else entry.why,
             )
-            cards.append(fill_card(study, source, scenario, quantities))
+            cards.append(make_card_values(study, source, scenario, quantities))
     return render_template(
         "test-cards.html.j2",
         ("test-cards.css",),
@@ -148,7 +148,7 @@ def _render_cards(study: StudyFile, ids: Sequence[int], given: Path | str | None
         title=shorten(escape_control_characters(meta.title), 40),
         cards=cards,
         tolerance_source=SOURCE,
-        **_about(study),
+        **_shared_template_values(study),
     )
 
 
@@ -162,7 +162,7 @@ def _find_scenario(study: StudyFile, given: Path | str | None) -> tuple[Scenario
         return None, f"the scenario file {study.meta.file_name} was not found as it was explored"
 
 
-def _make_chooser(
+def _make_rounding_chooser(
     study: StudyFile,
     scenario: ScenarioFile | None,
     quantities: Sequence[SettableQuantity],
@@ -190,11 +190,11 @@ def _make_chooser(
     return choose
 
 
-def _about(study: StudyFile) -> dict[str, Any]:
+def _shared_template_values(study: StudyFile) -> dict[str, Any]:
     meta = study.meta
     return {
         "file_name": shorten(escape_control_characters(study.path.name), 40),
-        "function": describe_function(study),
+        "function": describe_entity_under_test(study),
         "simulator": shorten(escape_control_characters(meta.simulator), 40),
         "fingerprint": meta.fingerprint[:16],
         "version": meta.version,

@@ -11,13 +11,13 @@ from cornercase._common import validation
 from cornercase._common.io.files import check_output_differs_from_source
 from cornercase._common.text.sanitize import quote_name
 from cornercase.recordings import Recording
-from cornercase.report._page import REPLAY_SCRIPTS
-from cornercase.report._payload import parameter_columns, round_score, score_source_column, study_info_payload
+from cornercase.report._report_page import REPLAY_SCRIPTS
+from cornercase.report._report_payload import parameter_columns, round_score, score_source_column, study_info_payload
 from cornercase.report._road_drawing import encode_road_outline, find_road_outline, recorded_bounds
 from cornercase.report.comparison._charts import draw_charts
 from cornercase.report.comparison._next_steps import describe_next_steps
-from cornercase.report.comparison._origins import describe_origins
 from cornercase.report.comparison._replayed_pairs import MAX_CHARACTERS, ReplayedPairs, read_replayed_pairs
+from cornercase.report.comparison._study_origins import describe_study_origins
 from cornercase.report.html._templates import render_template, write_page
 from cornercase.scenario._file import ScenarioFile
 from cornercase.study import StudyFile
@@ -130,7 +130,7 @@ def _render_page(
             for example in comparison.examples
             if example.pair.ids in replayed.numbers_by_ids
         ],
-        origins=describe_origins(comparison, old, new),
+        origins=describe_study_origins(comparison, old, new),
         contents=contents,
         recordings=replayed.texts,
     )

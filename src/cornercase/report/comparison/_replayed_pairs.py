@@ -13,7 +13,7 @@ from markupsafe import Markup, escape
 
 from cornercase._common.typing import FloatArray
 from cornercase.recordings import Recording
-from cornercase.recordings._rounded import encode_rounded
+from cornercase.recordings._compact_encoding import encode_rounded
 from cornercase.report._event_payload import find_events_of_scenario
 from cornercase.study import StudyFile
 from cornercase.suite import Comparison, ScenarioPair
@@ -133,7 +133,7 @@ def _describe_difference(
     """
     if old is None or new is None:
         return {"side": 0 if new is None else 1, "text": "One version only could run it."}
-    part = _find_parting(old, new)
+    part = _find_divergence_time(old, new)
     parting = "Both runs are alike." if part is None else f"Both runs part at {part:.4g} s, by more than 0.1 m."
     if pair.collides[0] != pair.collides[1]:
         side = int(pair.collides[1])
@@ -162,7 +162,7 @@ def _is_more_critical_now(pair: ScenarioPair, metrics: Mapping[str, Any]) -> boo
     return False
 
 
-def _find_parting(old: Recording, new: Recording) -> float | None:
+def _find_divergence_time(old: Recording, new: Recording) -> float | None:
     """Return the first time in s at which an entity is more than 0.1 m apart in both recordings; None if never."""
     names = [name for name in old.names if name in new.names]
     end = min(old.time[-1], new.time[-1])

@@ -13,7 +13,7 @@ from matplotlib import rc_context
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.text import Text
 
-from cornercase._common.io.files import atomic_write, portable_name
+from cornercase._common.io.files import atomic_write, make_portable_file_name
 from cornercase._common.text.sanitize import escape_control_characters, wrap_text
 from cornercase.report.figures._all_figures import CaptionedFigure
 from cornercase.report.figures._style import matplotlib_defaults
@@ -38,7 +38,7 @@ def write_figures(drawings: Iterable[CaptionedFigure], folder: Path) -> None:
     taken: set[str] = set()
     with matplotlib_defaults():
         for drawing in drawings:
-            name = _make_unique_name(portable_name(drawing.name), taken)
+            name = _make_unique_name(make_portable_file_name(drawing.name), taken)
             for ending, content in render_figure(drawing.figure).items():
                 with atomic_write(folder / f"{name}.{ending}") as temporary:
                     temporary.write_bytes(content)

@@ -21,7 +21,7 @@ from cornercase._common.typing import FloatArray, IntArray
 from cornercase.clustering import Analysis, read_analysis
 from cornercase.metrics import Metric
 from cornercase.reduction._hulls import find_convex_hull, find_hull_archetypes
-from cornercase.report._report_data import order_by_influence
+from cornercase.report._report_data import order_parameters_by_influence
 from cornercase.report.figures._all_figures import CaptionedFigure
 from cornercase.report.figures._export import write_figures
 from cornercase.report.figures._style import cluster_style, format_score_label, label_axis
@@ -155,7 +155,7 @@ def _read_data(study: StudyFile, layout: PaperScenario) -> _PaperData:
     values = np.array([[parameter.extract_number(row.values) for parameter in parameters] for row in rows])
     return _PaperData(
         parameters,
-        order_by_influence(values, scores[metrics[0].name]),
+        order_parameters_by_influence(values, scores[metrics[0].name]),
         {row.id: k for k, row in enumerate(rows)},
         values,
         np.array([row.point for row in rows]),
@@ -179,17 +179,17 @@ def _draw_figure_5(data: _PaperData, layout: PaperScenario) -> Figure:
     for k, name in enumerate(layout.aspects):
         analysis = data.analyses[name]
         _draw_kernel_space(
-            figure.add_subplot(grid[0, k], projection="3d"), analysis, _title(k, f"kernel space, by {name}")
+            figure.add_subplot(grid[0, k], projection="3d"), analysis, _panel_title(k, f"kernel space, by {name}")
         )
         axis = figure.add_subplot(grid[1, k])
         _draw_clusters(axis, data, analysis, data.influential[:2])
-        axis.set_title(_title(k + 4, f"by {name}"))
+        axis.set_title(_panel_title(k + 4, f"by {name}"))
         _add_legend(axis)
     _draw_hulls(figure.add_subplot(grid[0, 3], **_projection(data, 3)), data, data.analyses[layout.hulls])
     axis = figure.add_subplot(grid[1, 3])
     metric = next(metric for metric in data.metrics if metric.name == layout.score)
     _draw_scores(figure, axis, data, metric, data.influential[:2])
-    axis.set_title(_title(7, f"{metric.name} score"))
+    axis.set_title(_panel_title(7, f"{metric.name} score"))
     return figure
 
 
@@ -199,9 +199,9 @@ def _draw_figure_6(data: _PaperData, layout: PaperScenario) -> Figure:
         analysis = data.analyses[name]
         axis = figure.add_subplot(grid[0, k], **_projection(data, 3))
         _draw_clusters(axis, data, analysis, data.influential[:3])
-        axis.set_title(_title(k, f"by {name}"))
+        axis.set_title(_panel_title(k, f"by {name}"))
         axis = figure.add_subplot(grid[1, k], projection="3d")
-        _draw_kernel_space(axis, analysis, _title(k + 3, f"kernel space, by {name}"))
+        _draw_kernel_space(axis, analysis, _panel_title(k + 3, f"kernel space, by {name}"))
         _add_legend(axis)
     return figure
 
@@ -212,7 +212,7 @@ def _draw_criticality(data: _PaperData, dimensions: int) -> Figure:
     for k, metric in enumerate(data.metrics):
         axis = figure.add_subplot(grid[divmod(k, columns)], **_projection(data, dimensions))
         _draw_scores(figure, axis, data, metric, data.influential[:dimensions])
-        axis.set_title(_title(k, metric.name))
+        axis.set_title(_panel_title(k, metric.name))
     return figure
 
 
@@ -227,7 +227,7 @@ def _projection(data: _PaperData, dimensions: int) -> dict[str, Any]:
     return {"projection": "3d"} if min(dimensions, len(data.parameters)) > 2 else {}
 
 
-def _title(panel: int, text: str) -> str:
+def _panel_title(panel: int, text: str) -> str:
     return f"({ascii_lowercase[panel % 26]}) {text}"
 
 
@@ -241,7 +241,7 @@ def _draw_kernel_space(axis: Any, analysis: Analysis, title: str) -> None:
         axis.scatter(*members.T, c=colour, marker=marker, s=16, label=f"{name} ({len(members)})")
     for k, setter in enumerate((axis.set_xlabel, axis.set_ylabel, axis.set_zlabel)):
         setter(f"component {k + 1} [–]")
-    _fit_axes_in_space(axis)
+    _fit_3d_axes(axis)
     axis.set_title(title)
 
 
@@ -281,7 +281,7 @@ def _draw_hulls(axis: Any, data: _PaperData, analysis: Analysis) -> None:
                 linewidths=0.6, label=f"prototype, {name}",
             )  # fmt: skip
     _label_parameters(axis, data, parameter_indices)
-    axis.set_title(_title(3, f"hulls, by {analysis.by}"))
+    axis.set_title(_panel_title(3, f"hulls, by {analysis.by}"))
     _add_legend(axis)
 
 
@@ -309,14 +309,14 @@ def _coordinates(values: FloatArray, parameter_indices: tuple[int, ...]) -> Floa
 def _label_parameters(axis: Any, data: _PaperData, parameter_indices: tuple[int, ...]) -> None:
     is_3d = axis.name == "3d"
     if is_3d:
-        _fit_axes_in_space(axis)
+        _fit_3d_axes(axis)
     for panel_axis, k in zip(
         (axis.xaxis, axis.yaxis, *([axis.zaxis] if is_3d else [])), sorted(parameter_indices), strict=False
     ):
         label_axis(panel_axis, data.parameters[k])
 
 
-def _fit_axes_in_space(axis: Any) -> None:
+def _fit_3d_axes(axis: Any) -> None:
     """Scale 3D axes so that labels do not reach into the next panel and numbers do not overlap."""
     axis.set_box_aspect(None, zoom=0.95)
     for panel_axis in (axis.xaxis, axis.yaxis, axis.zaxis):
@@ -367,7 +367,7 @@ def _caption_figure_6(data: _PaperData, layout: PaperScenario) -> str:
 
 
 def _caption_criticality(data: _PaperData) -> str:
-    names = ", ".join(_title(k, metric.name) for k, metric in enumerate(data.metrics))
+    names = ", ".join(_panel_title(k, metric.name) for k, metric in enumerate(data.metrics))
     return (
         f"{_count_text(data)}, coloured by score: {names}. Dark is critical; critical ones are drawn last, on top of"
         " the others."

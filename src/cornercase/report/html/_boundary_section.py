@@ -34,7 +34,14 @@ def render_boundary_pairs(data: ReportData) -> Iterator[Section]:
     for first, second, _ in pairs:
         ids = data.rows[first].id, data.rows[second].id
         links.append(f"<a href='#id={ids[0]}&amp;beside={ids[1]}'>{ids[0]} beside {ids[1]}</a>")
-        rows.append([f"{ids[0]} and {ids[1]}", outcomes[first], outcomes[second], _describe_step(data, first, second)])
+        rows.append(
+            [
+                f"{ids[0]} and {ids[1]}",
+                outcomes[first],
+                outcomes[second],
+                _describe_parameter_changes(data, first, second),
+            ]
+        )
     weighed = "" if weights is None else ", each parameter weighed by its share of the score's variance"
     yield make_section(
         "boundary",
@@ -46,7 +53,7 @@ def render_boundary_pairs(data: ReportData) -> Iterator[Section]:
     )
 
 
-def _describe_step(data: ReportData, first: int, second: int) -> str:
+def _describe_parameter_changes(data: ReportData, first: int, second: int) -> str:
     """Describe how each parameter changes from the first scenario to the second."""
     steps = []
     for parameter in data.parameters:

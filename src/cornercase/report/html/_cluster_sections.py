@@ -92,7 +92,7 @@ def _render_clustering(data: ReportData, analysis: Analysis) -> Iterator[str]:
     if any(profile.name for profile in analysis.profiles):
         yield tables.render_cluster_names(analysis.profiles)
     yield f"<p>{escape(describe_clustering_method(analysis))}</p>"
-    if settings := tables.render_settings(clustering):
+    if settings := tables.render_clustering_settings(clustering):
         yield settings
         yield (
             "<p>The best setting for each number of clusters. DBCV and silhouette say how dense and how far apart"
@@ -105,7 +105,7 @@ def _render_clustering(data: ReportData, analysis: Analysis) -> Iterator[str]:
     )
     # Studies analyzed by an early version have no profiles.
     if analysis.profiles:
-        yield tables.render_profiles(analysis.profiles)
+        yield tables.render_cluster_profiles(analysis.profiles)
 
 
 def _cluster_row(data: ReportData, cluster: int, row_indices: IntArray) -> list[str]:

@@ -13,8 +13,8 @@ from markupsafe import Markup
 
 from cornercase._common.text.sanitize import escape_control_characters
 from cornercase._common.version import __version__
-from cornercase.drivers._description import format_driver
-from cornercase.report._commands import describe_limits, format_command
+from cornercase.drivers._serialization import format_driver
+from cornercase.report._repeat_command import describe_inexpressible_parts, format_repeat_command
 from cornercase.report._report_data import ReportData
 from cornercase.report._summary import Summary
 from cornercase.report.html._tables import Section, make_section, render_table
@@ -101,11 +101,11 @@ def render_provenance(file_name: str, summary: Summary) -> Markup:
     }
     table = render_table(["what", "value"], [[key, str(value)] for key, value in facts.items()], left_aligned=(0, 1))
     limits = "".join(
-        f"<p>{escape(sentence)}</p>" for sentence in describe_limits(meta, summary.n_run + summary.n_failed)
+        f"<p>{escape(sentence)}</p>"
+        for sentence in describe_inexpressible_parts(meta, summary.n_run + summary.n_failed)
     )
-    command = (
-        f"<pre id='command' tabindex='0'><code>{escape(escape_control_characters(format_command(meta)))}</code></pre>"
-    )
+    text = escape(escape_control_characters(format_repeat_command(meta)))
+    command = f"<pre id='command' tabindex='0'><code>{text}</code></pre>"
     return Markup(f"<p>This command makes it again:</p>{command}{limits}{table}")
 
 

@@ -30,7 +30,7 @@ def render_probability(data: ReportData) -> Iterator[Section]:
     if estimate is None:
         return
     rows = [
-        _describe_event(_name_event(event, estimate), estimate[event])
+        _format_event_row(_name_event(event, estimate), estimate[event])
         for event in _EVENTS
         if isinstance(estimate.get(event), Mapping)
     ]
@@ -85,7 +85,7 @@ def _name_event(event: str, estimate: Mapping[str, Any]) -> str:
     return "".join((name, f" ({use_math_signs(str(condition))})" if condition else "", *given))
 
 
-def _describe_event(name: str, event: Mapping[str, Any]) -> list[str]:
+def _format_event_row(name: str, event: Mapping[str, Any]) -> list[str]:
     def format_interval(key: str) -> str:
         low, high = event[key]
         return f"{low:.3g} to {high:.3g}"
@@ -127,14 +127,14 @@ def describe_distribution(parameter: Parameter) -> str:
         n_edges = len(numbers) // 2 + 1
         edges, weights = numbers[:n_edges], numbers[n_edges:]
         bins = [f"{low:.4g} to {high:.4g}" for low, high in pairwise(edges)]
-        return f"histogram: {_list_weights(bins, weights)}"
+        return f"histogram: {_format_weights(bins, weights)}"
     if distribution.kind == "set":
         values = list(parameter.choices) or [str(k + 1) for k in range(len(numbers))]
-        return f"set: {_list_weights(values, numbers)}"
+        return f"set: {_format_weights(values, numbers)}"
     return distribution.kind
 
 
-def _list_weights(names: list[str], weights: tuple[float, ...]) -> str:
+def _format_weights(names: list[str], weights: tuple[float, ...]) -> str:
     total = sum(weights) or 1.0
     texts = [f"{name} {100.0 * weight / total:.3g} %" for name, weight in zip(names, weights, strict=False)]
     more = len(texts) - _MAX_LISTED

@@ -43,7 +43,7 @@ def draw_space_sketch(
     )
     every = max(1, len(values) // _MAX_POINTS)
     drawn = (np.arange(len(values)) % every == 0) | critical | selected
-    parts = list(_frame(axes))
+    parts = list(_draw_axes(axes))
     for x, y, is_critical, is_selected in zip(across[drawn], up[drawn], critical[drawn], selected[drawn], strict=True):
         parts.append(
             f"<path class='critical' d='M{x - 2.2:.1f} {y - 2.2:.1f}l4.4 4.4m0 -4.4l-4.4 4.4'/>"
@@ -68,7 +68,7 @@ def _positions(values: FloatArray, parameter: Parameter, begin: float, end: floa
     return begin + (values - low) / (high - low) * (end - begin)
 
 
-def _frame(axes: Sequence[Parameter]) -> Iterator[str]:
+def _draw_axes(axes: Sequence[Parameter]) -> Iterator[str]:
     right, bottom = _WIDTH - _RIGHT, _HEIGHT - _BOTTOM
     yield f"<path class='frame' d='M{_LEFT} {_TOP}V{bottom}H{right}'/>"
     for k, axis in enumerate(axes):

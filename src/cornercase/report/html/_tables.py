@@ -12,7 +12,7 @@ from markupsafe import Markup
 
 from cornercase._common.text.sanitize import escape_control_characters
 from cornercase.clustering import Candidate, Clustering, Profile
-from cornercase.reduction import ClusterShape, Coverage, CriticalCoverage, HeldOutCritical
+from cornercase.reduction import ClusterShape, Coverage, CriticalCoverage, HeldOutCriticalCoverage
 from cornercase.report.text._phrases import format_cluster_name
 
 _NO_VALUE: Final = "–"
@@ -61,7 +61,7 @@ def render_table(column_names: Sequence[str], rows: Sequence[Sequence[str]], lef
     return f"<div class='wide' tabindex='0' role='region' aria-label='table: {label}'>{table}</div>"
 
 
-def render_profiles(profiles: Sequence[Profile]) -> str:
+def render_cluster_profiles(profiles: Sequence[Profile]) -> str:
     """Render a table of how the scenarios of each cluster end, and in which parameter ranges they lie."""
 
     def format_share(value: float) -> str:
@@ -120,7 +120,7 @@ def render_mutual_information(information_by_aspect: Mapping[str, Mapping[str, f
     return render_table(["by", *facts], rows)
 
 
-def render_settings(clustering: Clustering) -> str:
+def render_clustering_settings(clustering: Clustering) -> str:
     """Render a table of the best clustering setting for each number of clusters; empty if only one number was found."""
 
     def format_number(value: float) -> str:
@@ -224,7 +224,7 @@ def render_critical_coverage(critical: Mapping[str, CriticalCoverage]) -> str:
     def format_share(value: float | None) -> str:
         return _NO_VALUE if value is None else f"{value:.0%}"
 
-    def format_held_out(result: HeldOutCritical | None) -> list[str]:
+    def format_held_out(result: HeldOutCriticalCoverage | None) -> list[str]:
         if result is None:
             return [_NO_VALUE] * 5
         return [

@@ -10,7 +10,7 @@ from html import escape
 from typing import Final
 
 from cornercase._common.text.sanitize import escape_control_characters
-from cornercase.report._commands import format_command
+from cornercase.report._repeat_command import format_repeat_command
 from cornercase.report._report_data import ReportData
 from cornercase.report.html._scenario_links import link_scenarios
 from cornercase.report.html._tables import Section, make_section
@@ -34,7 +34,7 @@ _MAX_LISTED: Final = 6
 
 
 @dataclass(frozen=True)
-class _Row:
+class _VerdictRow:
     """Row of the table of verdicts, with what is shown of the scenario.
 
     `margin`, in `unit`, is the distance from the limit of the requirement, negative if the requirement is missed.
@@ -93,13 +93,13 @@ def render_verdicts(data: ReportData) -> Iterator[Section]:
         "Verdicts",
         [
             *_render_fixes(data, rows),
-            *_render_narrow(data, rows),
+            *_render_passed_but_critical(data, rows),
             f"<div class='wide' tabindex='0' role='region' aria-label='table: {label}'>{table}</div>",
         ],
     )
 
 
-def _build_rows(data: ReportData) -> Iterator[_Row]:
+def _build_rows(data: ReportData) -> Iterator[_VerdictRow]:
     meta = data.summary.meta
     critical = {row.id for row, is_critical in zip(data.rows, data.is_critical, strict=True) if is_critical}
     for scenario, verdicts in data.verdicts.items():
@@ -111,13 +111,13 @@ def _build_rows(data: ReportData) -> Iterator[_Row]:
             unit = Requirement.parse(verdict.requirement).expression.unit if margin is not None else ""
             # If there is a margin, it says how bad a failure is; else the impact speed does.
             hits = verdict.state == "failed" and margin is None and impact is not None
-            yield _Row(
+            yield _VerdictRow(
                 scenario, verdict, file, kind, margin, unit, nearest, gap, scenario in critical,
                 impact.speed if hits and impact is not None and math.isfinite(impact.speed) else None,
             )  # fmt: skip
 
 
-def _render_fixes(data: ReportData, rows: Sequence[_Row]) -> Iterator[str]:
+def _render_fixes(data: ReportData, rows: Sequence[_VerdictRow]) -> Iterator[str]:
     """Yield the failed scenarios, the worst first, and the commands to replay them and to run the suite again."""
     failed = [row for row in rows if row.verdict.state == "failed"]
     scenarios = list(dict.fromkeys(row.scenario for row in failed))
@@ -128,7 +128,9 @@ def _render_fixes(data: ReportData, rows: Sequence[_Row]) -> Iterator[str]:
     study = shlex.quote(data.file_name)
     for scenario in scenarios[:_MAX_LISTED]:
         own = [row for row in failed if row.scenario == scenario]
-        text = f"Scenario {scenario}{f' ({own[0].file})' if own[0].file else ''}: " + "; ".join(map(_describe, own))
+        text = f"Scenario {scenario}{f' ({own[0].file})' if own[0].file else ''}: " + "; ".join(
+            map(_describe_missed_requirement, own)
+        )
         impact = data.hardest_impacts.get(scenario)
         if impact is not None and impact.fault is not None:
             text += f"; {impact.fault.describe(data.summary.meta.ego, impact.entity)}"
@@ -138,17 +140,17 @@ def _render_fixes(data: ReportData, rows: Sequence[_Row]) -> Iterator[str]:
             f" -o run-{scenario}.html</code></li>"
         )
     yield "</ul>"
-    again = escape(escape_control_characters(format_command(data.summary.meta)))
+    again = escape(escape_control_characters(format_repeat_command(data.summary.meta)))
     yield f"<p>After a mend, run all again: <code>{again}</code></p>"
     yield f"<p>What it changed: <code>cornercase compare {escape(study)} study.db</code></p>"
 
 
-def _describe(row: _Row) -> str:
+def _describe_missed_requirement(row: _VerdictRow) -> str:
     missed = row.margin_text or "failed"
     return f"“{row.verdict.requirement}” {missed}, as {row.verdict.reason}"
 
 
-def _render_narrow(data: ReportData, rows: Sequence[_Row]) -> Iterator[str]:
+def _render_passed_but_critical(data: ReportData, rows: Sequence[_VerdictRow]) -> Iterator[str]:
     """Yield the scenarios that passed although they are critical, the most critical first."""
     states: dict[int, set[str]] = {}
     for row in rows:

@@ -11,9 +11,9 @@ from typing import Any, Final
 
 from cornercase._common.errors import InputError
 from cornercase._common.io.support_table import issue_notice_warning
-from cornercase.report._page import render_details
-from cornercase.report._payload import scenario_payload, whole_study_payload
 from cornercase.report._report_data import ReportData, read_report_data
+from cornercase.report._report_page import render_details
+from cornercase.report._report_payload import scenario_table_payload, whole_study_payload
 from cornercase.report._rerun import rerun_payload
 from cornercase.report._road_drawing import encode_road_outline, find_road_outline, is_missing_map
 from cornercase.report.html._overview_sections import render_provenance
@@ -49,7 +49,7 @@ class PageAnalysis:
         return self if self.epoch == epoch else PageAnalysis(epoch, self.revision, self.layout_revision)
 
 
-class RoadAndRerunCache:
+class RoadDrawingCache:
     """Cache for the drawing of the road, which is drawn again only when scenarios leave the drawn region."""
 
     def __init__(self, scenario: Path | None) -> None:
@@ -59,7 +59,7 @@ class RoadAndRerunCache:
         self._roads: dict[str, Any] = {}
         self._warned: set[str] = set()
 
-    def payload(self, study: StudyFile, data: ReportData) -> dict[str, Any]:
+    def road_and_rerun_payload(self, study: StudyFile, data: ReportData) -> dict[str, Any]:
         """Return the drawing of the road and the commands to run scenarios again, as JSON values for the page."""
         new, old = data.region, self._region
         is_known = study.meta.fingerprint == self._fingerprint and bool(self._roads.get("roads"))
@@ -93,7 +93,7 @@ class AnalysisWorker:
     def __init__(self, follower: StudyFollower, scenario: Path | None = None) -> None:
         self.latest = PageAnalysis()
         self._follower = follower
-        self._road_and_rerun = RoadAndRerunCache(scenario)
+        self._road_and_rerun = RoadDrawingCache(scenario)
         self._stop_event = threading.Event()
         self._thread = threading.Thread(target=self._run, name="finder of knowledge", daemon=True)
 
@@ -141,7 +141,7 @@ class AnalysisWorker:
             )
 
 
-def _key_by_id(clusters: dict[str, Any], ids: list[int]) -> dict[str, Any]:
+def _key_clusters_by_id(clusters: dict[str, Any], ids: list[int]) -> dict[str, Any]:
     """Key labels and embedding by scenario id instead of row, because rows may be added before the page loads them."""
     assigned = [k for k, label in enumerate(clusters["labels"]) if label is not None]
     return clusters | {
@@ -150,18 +150,18 @@ def _key_by_id(clusters: dict[str, Any], ids: list[int]) -> dict[str, Any]:
     }
 
 
-def _analyze_study(path: Path, road_cache: RoadAndRerunCache) -> tuple[dict[str, Any], dict[int, str]] | None:
+def _analyze_study(path: Path, road_cache: RoadDrawingCache) -> tuple[dict[str, Any], dict[int, str]] | None:
     # The explorer continues to write; its write-ahead log grows during this snapshot.
     with StudyFile.open(path, readonly=True) as study, study.snapshot():
         if not study.finished_rows():
             return None
         data = read_report_data(study)
-        road_and_rerun = road_cache.payload(study, data)
-    parts, scenarios = whole_study_payload(data) | road_and_rerun, scenario_payload(data)
+        road_and_rerun = road_cache.road_and_rerun_payload(study, data)
+    parts, scenarios = whole_study_payload(data) | road_and_rerun, scenario_table_payload(data)
     ids, outcome_names = scenarios["scenarios"]["id"], scenarios["outcomes"]
     indices = zip(ids, scenarios["scenarios"]["outcome"], strict=True)
     outcomes = {scenario: outcome_names[index] for scenario, index in indices if index is not None}
-    parts["kinds"] = {name: _key_by_id(clusters, ids) for name, clusters in parts["kinds"].items()}
+    parts["kinds"] = {name: _key_clusters_by_id(clusters, ids) for name, clusters in parts["kinds"].items()}
     parts["outcomes"] = outcome_names
     parts["known_of"] = len(ids)
     # The page counts its scenarios itself, as they come.

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 from cornercase._common.errors import InputError
-from cornercase.report.live._live_page_reader import LivePageReader, LiveScenario
+from cornercase.report.live._live_scenario_reader import LiveScenario, LiveScenarioReader
 from cornercase.study import StudyFile, StudyMeta
 
 # Seconds between two polls of the study.
@@ -84,7 +84,7 @@ class StudyFollower:
         with self._lock:
             return self.epoch, self._meta, list(self._digests), self.state
 
-    def digests_since(
+    def scenarios_since(
         self, epoch: str, n_known: int, max_digests: int = _BATCH_SIZE
     ) -> tuple[Sequence[LiveScenario], StudyProgress | None] | None:
         """Return up to `max_digests` scenarios after the first `n_known`, and the progress if no more scenarios follow.
@@ -181,20 +181,20 @@ class StudyFollower:
         ]
         pending = {row.id for row in rows if row.state == "pending"}
         is_first = self.state.name == "waiting"
-        digester = LivePageReader(study)
+        digester = LiveScenarioReader(study)
         if notes != self.notes:
             self.notes = notes
         for k in range(0, len(ended), _BATCH_SIZE):
             if self._stop_event.is_set():
                 return True
             digests = [digester.read(row) for row in ended[k : k + _BATCH_SIZE]]
-            self._add_digests(digests, len(pending), None if is_first else time.time())
+            self._add_scenarios(digests, len(pending), None if is_first else time.time())
         self._next_id = max(self._next_id, max((row.id for row in rows), default=0) + 1)
         self._pending_ids = pending
-        self._add_digests((), len(pending), self.state.last)
+        self._add_scenarios((), len(pending), self.state.last)
         return True
 
-    def _add_digests(self, digests: Sequence[LiveScenario], n_pending: int, last_time: float | None) -> None:
+    def _add_scenarios(self, digests: Sequence[LiveScenario], n_pending: int, last_time: float | None) -> None:
         """Add scenarios and update the progress while holding the lock, so that both always match."""
         self._failed_errors |= {digest.row.id: digest.row.error for digest in digests if digest.row.state == "failed"}
         failed = len(self._failed_errors)

@@ -16,12 +16,12 @@ from starlette.responses import HTMLResponse, JSONResponse, PlainTextResponse, R
 from starlette.routing import Route
 
 from cornercase._common.errors import InputError
-from cornercase._common.io.files import portable_name
+from cornercase._common.io.files import make_portable_file_name
 from cornercase.report._event_payload import find_events_of_scenario
-from cornercase.report._page import CONTENT_SECURITY_POLICY, render_live_page
+from cornercase.report._report_page import CONTENT_SECURITY_POLICY, render_live_page
 from cornercase.report._rerun import read_selection_reasons, render_concrete_scenario
 from cornercase.report.live._auth import TokenAuth
-from cornercase.report.live._events import Cursor, EventStream
+from cornercase.report.live._page_event_stream import Cursor, EventStream
 from cornercase.study import StudyFile, write_note
 from cornercase.study._notes import MAX_NOTE_LENGTH
 from cornercase.study._scenario_file import find_explored_scenario
@@ -159,5 +159,5 @@ def _scenario_id(request: Request) -> int:
 
 
 def _download_response(content: bytes, name: str, kind: str) -> Response:
-    plain = portable_name(name).encode("ascii", "replace").decode().replace("?", "-")
+    plain = make_portable_file_name(name).encode("ascii", "replace").decode().replace("?", "-")
     return Response(content, media_type=kind, headers={"content-disposition": f'attachment; filename="{plain}"'})

@@ -14,12 +14,12 @@ from typing import Final
 
 from cornercase._common import validation
 from cornercase._common.errors import InputError
-from cornercase._common.extras import describe_install
+from cornercase._common.optional_packages import describe_install
 from cornercase._common.process.signals import last_signal
 from cornercase._common.unknown_names import suggest_arguments
 from cornercase.report.live._analysis_worker import AnalysisWorker
-from cornercase.report.live._events import EventStream
 from cornercase.report.live._follower import StudyFollower
+from cornercase.report.live._page_event_stream import EventStream
 from cornercase.study._study_file import open_study
 
 _MAX_PORT: Final = 65535

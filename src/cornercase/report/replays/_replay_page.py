@@ -6,9 +6,9 @@ import base64
 from dataclasses import asdict
 from typing import Any, Final
 
-from cornercase.recordings._rounded import encode_rounded
-from cornercase.report._page import REPLAY_SCRIPTS
-from cornercase.report._payload import parameter_columns, round_score, score_source_column, study_info_payload
+from cornercase.recordings._compact_encoding import encode_rounded
+from cornercase.report._report_page import REPLAY_SCRIPTS
+from cornercase.report._report_payload import parameter_columns, round_score, score_source_column, study_info_payload
 from cornercase.report._road_drawing import encode_road_outline
 from cornercase.report.html._templates import render_template
 from cornercase.report.replays._replay_data import ReplayData

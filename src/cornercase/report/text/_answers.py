@@ -10,14 +10,14 @@ from typing import Any, Final
 import numpy as np
 
 from cornercase._common.text.sanitize import escape_control_characters
-from cornercase.clustering._headline import find_headline_aspect, has_useful_clusters
+from cornercase.clustering._headline_aspect import find_headline_aspect, has_useful_clusters
 from cornercase.evidence import Estimate
 from cornercase.metrics._outcome import Fault, Manner
 from cornercase.reduction import ReducedSet
-from cornercase.report._collision_replies import ReplyCounts
+from cornercase.report._collision_reactions import CollisionReactionCounts
 from cornercase.report._estimates import CriticalEstimates
 from cornercase.report._near_misses import describe_near_misses, sort_near_misses
-from cornercase.report._reference_counts import describe_references
+from cornercase.report._reference_driver_results import describe_reference_drivers
 from cornercase.report._report_data import ReportData
 from cornercase.report.text._danger_ranges import describe_danger_ranges
 from cornercase.report.text._phrases import (
@@ -135,7 +135,7 @@ def describe_study(data: ReportData, *, include_counts: bool = True) -> str:
     """
     summary, meta = data.summary, data.summary.meta
     sentences = [meta.roles_text]
-    begin = f"{_scenarios_were(summary.n_run)} " if include_counts else "Scenarios "
+    begin = f"{_format_scenarios_were(summary.n_run)} " if include_counts else "Scenarios "
     if meta.simulator == IMPORTED_SIMULATOR:
         sentences.append(f"{begin}imported, measured by {', '.join(meta.metrics)}.")
     elif meta.suite:
@@ -153,11 +153,11 @@ def describe_study(data: ReportData, *, include_counts: bool = True) -> str:
     if meta.nondeterminism_text:
         sentences.append(f"Runs differ: {meta.nondeterminism_text}.")
     if include_counts and summary.n_pending:
-        sentences.append(f"{_scenarios_were(summary.n_pending)} not run yet.")
+        sentences.append(f"{_format_scenarios_were(summary.n_pending)} not run yet.")
     return escape_control_characters(" ".join(sentences))
 
 
-def _scenarios_were(count: int) -> str:
+def _format_scenarios_were(count: int) -> str:
     return "One scenario was" if count == 1 else f"{count} scenarios were"
 
 
@@ -209,11 +209,11 @@ def _describe_fault_with_reason(fault: Fault, ego: str, other: str) -> str:
     return f"{fault.describe(ego, other)}: {', '.join(fault.reasons)}" if fault.reasons else fault.describe(ego, other)
 
 
-def _answer_replies(data: ReportData, replies: ReplyCounts) -> Answer:
+def _answer_replies(data: ReportData, replies: CollisionReactionCounts) -> Answer:
     meta = data.summary.meta
     other = meta.others[0] if len(meta.others) == 1 else "the other"
     text, points = describe_reactions(replies, meta.ego, other)
-    references = describe_references(data.summary.references).strip()
+    references = describe_reference_drivers(data.summary.references).strip()
     return Answer("fix", "What do I fix?", text, (*filter(None, [references]), *points))
 
 
@@ -260,7 +260,7 @@ def _answer_critical_share(data: ReportData) -> Answer:
     else:
         counts = f"None of the {summary.n_run} scenarios{which_ran} is critical ({criterion})."
     # After collisions, the answer to "What do I fix?" has the references.
-    counts += "" if summary.replies is not None else describe_references(summary.references)
+    counts += "" if summary.replies is not None else describe_reference_drivers(summary.references)
     if override := describe_threshold_override(summary):
         counts += f" {override}"
     if estimates is None:
@@ -407,7 +407,7 @@ def _answer_reduced_set(data: ReportData) -> Answer:
     sentences = [f"Keep {len(reduced.scenarios)} of the {reduced.n_run} scenarios: {counts or 'none'}."]
     sentences.append(_describe_selected_outcomes(data, reduced))
     if later := data.summary.n_run - reduced.n_run:
-        sentences.append(f"{_scenarios_were(later)} run since.")
+        sentences.append(f"{_format_scenarios_were(later)} run since.")
     headline = find_headline_aspect(data.summary.analyses)
     if headline is not None and reduced.by != headline and data.summary.analyses[headline].clustering.n_clusters > 1:
         sentences.append(f"They were chosen by {reduced.by}; 'cornercase reduce' chooses from the kinds above.")
@@ -456,11 +456,11 @@ def _answer_front(data: ReportData) -> Answer:
         "front",
         "Which scenarios are on the Pareto front?",
         describe_front(len(front)),
-        tuple(describe_front_ends(data)),
+        tuple(describe_most_critical_on_front(data)),
     )
 
 
-def describe_front_ends(data: ReportData) -> Iterator[str]:
+def describe_most_critical_on_front(data: ReportData) -> Iterator[str]:
     """Yield a sentence for each metric that names the most critical scenario by this metric on the Pareto front."""
     front = data.summary.estimates.pareto_front or {}
     for metric in data.metrics:

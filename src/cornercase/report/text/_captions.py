@@ -12,7 +12,7 @@ from cornercase.evidence import Sensitivity
 from cornercase.metrics import Metric
 from cornercase.reduction import ReducedSet
 from cornercase.report._report_data import ReportData
-from cornercase.report.text._answers import describe_front_ends
+from cornercase.report.text._answers import describe_most_critical_on_front
 from cornercase.report.text._phrases import (
     append_unit,
     describe_clustering_method,
@@ -40,7 +40,7 @@ def describe_views(data: ReportData) -> dict[str, Any]:
         "kernel": {name: describe_cluster_count(analysis) for name, analysis in analyses.items()},
     }
     if estimates.pareto_front is not None:
-        captions["front"] = " ".join(describe_front_ends(data))
+        captions["front"] = " ".join(describe_most_critical_on_front(data))
     if estimates.sensitivity is not None:
         captions["matters"] = describe_most_influential(estimates.sensitivity)
     return {view: _to_plain_text(caption) for view, caption in captions.items()}

@@ -35,7 +35,7 @@ def describe_danger_ranges(data: ReportData) -> Iterator[str]:
         column = data.values[:, k]
         if _is_clearly_narrower(column, dangerous, parameter, _CHANCE / len(numeric)):
             low, high = float(column[dangerous].min()), float(column[dangerous].max())
-            where = _format_where(low, high, parameter)
+            where = _format_narrow_range(low, high, parameter)
             subject = f"All {int(dangerous.sum())} {what} that were found"
             yield f"{subject} have {parameter.name} {where}, of {format_range(parameter)}."
 
@@ -51,7 +51,7 @@ def _is_clearly_narrower(column: FloatArray, dangerous: BoolArray, parameter: Pa
     return by_chance <= chance
 
 
-def _format_where(low: float, high: float, parameter: Parameter) -> str:
+def _format_narrow_range(low: float, high: float, parameter: Parameter) -> str:
     """Format a range in words, rounded outwards; a bound near the end of the explored range is left out."""
     width = parameter.high - parameter.low
     step = 10.0 ** (math.floor(math.log10(width)) - 2)

@@ -10,7 +10,7 @@ from typing import Final
 from cornercase._common.plugin_errors import group_failure_messages
 from cornercase._common.text.sanitize import docstring_summary
 from cornercase.clustering import ASPECTS, Analysis, Profile
-from cornercase.clustering._headline import SOME_INFORMATION
+from cornercase.clustering._headline_aspect import SOME_INFORMATION
 from cornercase.evidence._sensitivity import Sensitivity
 from cornercase.metrics import METRICS
 from cornercase.metrics._critical_if import find_critical_if_condition

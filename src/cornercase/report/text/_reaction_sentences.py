@@ -5,19 +5,19 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Final
 
-from cornercase.report._collision_replies import ReplyCounts
+from cornercase.report._collision_reactions import CollisionReactionCounts
 
 # A median reaction up to this time in s is described as zero; time steps of recordings are about as long.
 _SAME_TIME: Final = 0.05
 
 
-def describe_reactions(counts: ReplyCounts, ego: str, other: str) -> tuple[str, tuple[str, ...]]:
+def describe_reactions(counts: CollisionReactionCounts, ego: str, other: str) -> tuple[str, tuple[str, ...]]:
     """Describe the ego's reactions before collisions as a text, and alternatives to them as list items."""
     sentences = [*_describe_earlier_braking(counts, ego, other), *_describe_braking(counts, ego, other)]
     return " ".join(sentences), tuple(_describe_alternatives(counts, ego, other))
 
 
-def _describe_earlier_braking(counts: ReplyCounts, ego: str, other: str) -> Iterator[str]:
+def _describe_earlier_braking(counts: CollisionReactionCounts, ego: str, other: str) -> Iterator[str]:
     total = counts.n_with_braking
     if not counts.n_avoided_earlier:
         return
@@ -25,7 +25,7 @@ def _describe_earlier_braking(counts: ReplyCounts, ego: str, other: str) -> Iter
     assumption = f"if {ego} stays on its path{waits}, and {other} moves as recorded"
     if not any(counts.n_avoided_earlier.values()):
         longest = max(counts.n_avoided_earlier)
-        collisions = _collisions(total, counts.n_measured)
+        collisions = _format_collision_count(total, counts.n_measured)
         yield f"Braking up to {longest:g} s earlier avoids none of {collisions}, {assumption}."
         return
     parts: list[str] = []
@@ -33,18 +33,18 @@ def _describe_earlier_braking(counts: ReplyCounts, ego: str, other: str) -> Iter
         avoided = "none" if not count else "all" if count == total > 1 else str(count)
         parts.append(f"{time:g} s earlier {avoided}" if parts else f"{time:g} s earlier avoids {avoided}")
         if len(parts) == 1:
-            parts[0] += f" of {_collisions(total, counts.n_measured)}"
+            parts[0] += f" of {_format_collision_count(total, counts.n_measured)}"
         if count == total:
             break
     yield f"Braking {', '.join(parts)}: {assumption}."
 
 
-def _collisions(count: int, total: int) -> str:
+def _format_collision_count(count: int, total: int) -> str:
     number = "the one collision" if count == 1 else f"the {count} collisions"
     return number if count == total else f"{number} with braking"
 
 
-def _describe_braking(counts: ReplyCounts, ego: str, other: str) -> Iterator[str]:
+def _describe_braking(counts: CollisionReactionCounts, ego: str, other: str) -> Iterator[str]:
     total = counts.n_measured
     collisions = "the one collision" if total == 1 else f"the {total} collisions"
     if total < counts.n_collisions:
@@ -65,7 +65,7 @@ def _describe_braking(counts: ReplyCounts, ego: str, other: str) -> Iterator[str
         )
 
 
-def _describe_reaction(counts: ReplyCounts) -> str:
+def _describe_reaction(counts: CollisionReactionCounts) -> str:
     reaction = counts.median_reaction
     if reaction is None:
         return ""
@@ -76,7 +76,7 @@ def _describe_reaction(counts: ReplyCounts) -> str:
     return f"; the median{few} begins {when}" if counts.n_with_braking > 1 else f", {when}"
 
 
-def _describe_alternatives(counts: ReplyCounts, ego: str, other: str) -> Iterator[str]:
+def _describe_alternatives(counts: CollisionReactionCounts, ego: str, other: str) -> Iterator[str]:
     if counts.n_driving_on:
         avoided = _count_of(counts.n_avoided_by_waiting, counts.n_driving_on)
         yield f"Waiting where it stopped, instead of driving on, avoids {avoided}."

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from cornercase.drivers._description import format_driver
+from cornercase.drivers._serialization import format_driver
 from cornercase.report._report_data import ReportData
 from cornercase.report.text._phrases import append_unit, format_range
 from cornercase.study._import_recordings import IMPORTED_SIMULATOR

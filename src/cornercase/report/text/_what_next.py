@@ -6,7 +6,7 @@ import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
-from cornercase.report._boundary import BoundaryPair, find_collision_boundary
+from cornercase.report._collision_boundary import BoundaryPair, find_collision_boundary
 from cornercase.report._near_misses import sort_near_misses
 from cornercase.report._report_data import ReportData
 from cornercase.report.text._phrases import append_unit, format_value, join_with_and
@@ -33,7 +33,7 @@ def describe_next_steps(data: ReportData) -> tuple[str, tuple[str, ...]]:
     points = [
         *_describe_for_developer(data, scenario),
         *_describe_for_deciders(data),
-        *_describe_for_track(data, pairs),
+        *_describe_for_proving_ground(data, pairs),
     ]
     return f"{text}.", tuple(points)
 
@@ -64,7 +64,7 @@ def describe_next_steps_after_suite(data: ReportData) -> tuple[str, tuple[str, .
     )
     if track:
         listed = join_with_and([f"scenario {scenario}" for scenario in track])
-        points.append(f"Proving ground: {_name_cards(data, track)} of {listed}.")
+        points.append(f"Proving ground: {_format_cards_command(data, track)} of {listed}.")
     return text, tuple(points)
 
 
@@ -117,40 +117,46 @@ def _describe_for_deciders(data: ReportData) -> Iterator[str]:
         yield f"{page}, and this page for the details; 'cornercase reduce' would add the few scenarios to keep."
 
 
-def _describe_for_track(data: ReportData, pairs: Sequence[BoundaryPair]) -> Iterator[str]:
+def _describe_for_proving_ground(data: ReportData, pairs: Sequence[BoundaryPair]) -> Iterator[str]:
     if not pairs:
         misses = sort_near_misses(data.approaches, data.hardest_impacts)[:_MAX_ON_TRACK]
         yield (
             "Proving ground: no two scenarios lie on both sides of a collision"
-            + (f". {_name_cards(data, [scenario for scenario, _ in misses])} of the nearest misses." if misses else ".")
+            + (
+                f". {_format_cards_command(data, [scenario for scenario, _ in misses])} of the nearest misses."
+                if misses
+                else "."
+            )
         )
         return
     repeatable = ""
     if data.summary.meta.repeats == 1 and data.summary.meta.nondeterminism_text:
         repeatable = " Runs differ, so repeat each before."
-    cards = _name_cards(data, [data.rows[pair.without_collision].id for pair in pairs])
+    cards = _format_cards_command(data, [data.rows[pair.without_collision].id for pair in pairs])
     yield (
         "Proving ground: scenarios without a collision, and the nearest ones with a collision; the border lies between"
         f" them.{repeatable} {cards} of the former."
     )
     for pair in pairs:
         safe, hit = data.rows[pair.without_collision], data.rows[pair.with_collision]
-        values = ", ".join(f"{parameter.name} {_format(parameter, safe.values)}" for parameter in data.parameters)
-        steps = ", ".join(_describe_steps(data.parameters, safe.values, hit.values))
+        values = ", ".join(
+            f"{parameter.name} {_format_parameter_value(parameter, safe.values)}" for parameter in data.parameters
+        )
+        steps = ", ".join(_describe_parameter_changes(data.parameters, safe.values, hit.values))
         yield f"Scenario {safe.id}: {values}; it collides in scenario {hit.id}, with {steps}."
 
 
-def _name_cards(data: ReportData, scenarios: Sequence[int]) -> str:
+def _format_cards_command(data: ReportData, scenarios: Sequence[int]) -> str:
     ids = ",".join(map(str, scenarios))
     study = shlex.quote(data.file_name)
     return f"'cornercase report {study} --test-cards --ids {ids} -o cards.html' writes a page for each"
 
 
-def _format(parameter: Parameter, values: Mapping[str, Value]) -> str:
+def _format_parameter_value(parameter: Parameter, values: Mapping[str, Value]) -> str:
     return append_unit(format_value(parameter.extract_value(values), 4), parameter.unit)
 
 
-def _describe_steps(
+def _describe_parameter_changes(
     parameters: Sequence[Parameter], start: Mapping[str, Value], end: Mapping[str, Value]
 ) -> Iterator[str]:
     """Yield the change of each parameter from `start` to `end` in its unit; equal parameters are left out."""

@@ -12,11 +12,11 @@ from lxml import etree
 
 from cornercase._common.errors import InputError, SimulationError
 from cornercase._common.plugin_errors import format_time_of_failure
-from cornercase._common.text.source_lines import locate_input_errors
+from cornercase._common.text.element_locations import add_location_to_input_errors
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.drivers import Driver
 from cornercase.drivers._attached_driver import DriverError
-from cornercase.drivers._parameters import find_parameter, is_same_in_batch, read_parameters
+from cornercase.drivers._parameters import find_parameter, must_be_same_in_batch, read_parameters
 from cornercase.recordings import Collision, Recording
 from cornercase.scenario import Value
 from cornercase.scenario._batch_split import BatchSplitError
@@ -90,10 +90,10 @@ class Batch:
         self._init_location = "" if reference is None else f"line {reference.sourceline}: <{reference.tag}>"
         logic_file = scenario.root.find("RoadNetwork/LogicFile")
         road_file = "" if logic_file is None else scope.read_text(logic_file, "filepath", "")
-        with locate_input_errors(logic_file, scope.file_name):
+        with add_location_to_input_errors(logic_file, scope.file_name):
             network = prepared.road_network(road_file) if road_file else None
         objects = list(scenario.root.iterfind("Entities/ScenarioObject"))
-        with locate_input_errors(scenario.root.find("Entities"), scope.file_name):
+        with add_location_to_input_errors(scenario.root.find("Entities"), scope.file_name):
             if not objects:
                 raise InputError("has no entities, so there is nothing to simulate.")
             if len(objects) > _MAX_ENTITIES:
@@ -123,7 +123,7 @@ class Batch:
             driver = drivers_by_entity.get(name)
             if driver is None:
                 continue
-            with locate_input_errors(None if name in drivers else objects[e], scope.file_name):
+            with add_location_to_input_errors(None if name in drivers else objects[e], scope.file_name):
                 driver_object = create_file_driver(driver, scope.file_name) if isinstance(driver, str) else driver
             number = DriverControl(self._world, e, driver_object, self._read_parameters(name, driver_object)).number
             self._world.has_fixed_driver[e] = name in drivers
@@ -138,7 +138,7 @@ class Batch:
         """Return the parameters of an entity's driver by name; values that the driver refuses fail their scenario."""
         names, values = self._parameters.get(entity, ({}, []))
         parameters, problems = read_parameters(entity, driver, values)
-        shared = {name for name in parameters if is_same_in_batch(driver, find_parameter(entity, driver, name)[0])}
+        shared = {name for name in parameters if must_be_same_in_batch(driver, find_parameter(entity, driver, name)[0])}
         if differing := {names[name] for name in shared if (parameters[name] != parameters[name][0]).any()}:
             raise BatchSplitError(differing)
         for n, problem in problems.items():
@@ -146,13 +146,13 @@ class Batch:
         return parameters
 
     @property
-    def _driver_actions(self) -> list[DriverControl]:
+    def _driver_controls(self) -> list[DriverControl]:
         return [driver for driver in self._world.drivers if isinstance(driver, DriverControl)]
 
     @property
     def has_python_drivers(self) -> bool:
         """Whether the batch has drivers that are not compiled, such as a user's own."""
-        return not all(driving.in_fleet for driving in self._driver_actions)
+        return not all(driving.in_fleet for driving in self._driver_controls)
 
     @property
     def remarks(self) -> list[str]:
@@ -161,14 +161,14 @@ class Batch:
             return []
         # Actions name their line, and their file only if it is not the scenario file.
         remarks = [remark.replace("(line ", f"({self._file_name}, line ", 1) for remark in self._world.notices]
-        return [*remarks, *(text for remark in self._driver_actions for text in remark.limit_notices.values())]
+        return [*remarks, *(text for remark in self._driver_controls for text in remark.limit_notices.values())]
 
     def run(self, n_threads: int = 1, gil_lock: Lock | None = None) -> None:
         """Run until every scenario has ended or a driver fails; compiled code runs without the `gil_lock`."""
         # Failed scenarios are still computed, but their results are not used.
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             try:
-                for driving in self._driver_actions:
+                for driving in self._driver_controls:
                     driving.reset_driver()
                 self._stepper.run(n_threads, gil_lock)
             except DriverError as failure:
@@ -176,7 +176,7 @@ class Batch:
                 if self._world.scenarios == 1:
                     self._world.errors[0] = failure.error
             finally:
-                for driving in self._driver_actions:
+                for driving in self._driver_controls:
                     driving.free_driver_resources()
 
     def cancel(self) -> None:

@@ -14,7 +14,7 @@ from lxml import etree
 
 from cornercase._common.errors import InputError, suggest_name
 from cornercase._common.io.support_table import Notice, NoticeLabel
-from cornercase._common.text.source_lines import prefix_file
+from cornercase._common.text.element_locations import prefix_file
 from cornercase.drivers._resolve import DriverLike, check_drivers, may_steer, resolve_driver
 from cornercase.scenario import ConcreteScenario, LogicalScenario, ParameterSpace
 from cornercase.scenario._file import ScenarioFile

@@ -51,7 +51,7 @@ def read_entities(objects: Sequence[etree._Element], scope: Scope) -> tuple[tupl
 
     Trailers without a name follow the other entities, and are called like their vehicle with ``+``.
     """
-    bodies = [_resolve_body(element, element.get("name", ""), scope) for element in objects]
+    bodies = [_find_entity_element(element, element.get("name", ""), scope) for element in objects]
     names = [element.get("name", "") for element in objects]
     entities = [_read_entity(body, name, body_scope) for name, (body, body_scope) in zip(names, bodies, strict=True)]
     pairs = []
@@ -76,7 +76,7 @@ def read_entities(objects: Sequence[etree._Element], scope: Scope) -> tuple[tupl
     )
 
 
-def _resolve_body(element: etree._Element, name: str, scope: Scope) -> tuple[etree._Element, Scope]:
+def _find_entity_element(element: etree._Element, name: str, scope: Scope) -> tuple[etree._Element, Scope]:
     outer_scope = scope
     body = next((e for e in element.iterchildren("Vehicle", "Pedestrian", "MiscObject", "CatalogReference")), None)
     if body is not None and body.tag == "CatalogReference":
@@ -167,18 +167,18 @@ def _iter_trailers(
         holder = body.find("Trailer")
         if holder is None:
             return
-        if name_of_entity := _referenced_entity(holder, scope):
+        if name_of_entity := _read_trailer_reference(holder, scope):
             yield name_of_entity
             return
         inner = _trailer_body_parent(holder, scope)
         if inner is None:
             return
-        body, scope = _resolve_body(inner, vehicle_name, scope)
+        body, scope = _find_entity_element(inner, vehicle_name, scope)
         yield body, scope
     raise scope.error_at(body, f"the <Trailer> of the entity '{vehicle_name}' pulls more than {MAX_TRAILERS} trailers.")
 
 
-def _referenced_entity(holder: etree._Element, scope: Scope) -> str:
+def _read_trailer_reference(holder: etree._Element, scope: Scope) -> str:
     """Return the name of the entity to which a ``<Trailer>`` refers; empty if it refers to none."""
     names = []
     for element in holder.iterchildren("TrailerRef", "EntityRef"):

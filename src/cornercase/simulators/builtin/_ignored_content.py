@@ -9,7 +9,7 @@ from cornercase._common.errors import InputError
 from cornercase._common.io.support_table import (
     UNKNOWN_REASON,
     Notice,
-    adapted_notices,
+    list_adaptation_notices,
     merge_notices,
     sort_notices,
     tag_without_namespace,
@@ -35,18 +35,21 @@ def read_and_collect_notices(scenario: ScenarioFile, values: Mapping[str, Value]
 
 def collect_notices(scenario: ScenarioFile, is_complete: bool = True) -> tuple[Notice, ...]:
     """Return notices about the files of a scenario after reading; `is_complete`: whether all was read."""
-    notices: list[Notice] = [*scenario.left_handed_notices(), *profile_controller_notices(scenario.root, scenario.path)]
+    notices: list[Notice] = [
+        *scenario.left_handed_axes_notices(),
+        *profile_controller_notices(scenario.root, scenario.path),
+    ]
     scenario.catalog_files()  # Reads catalogs only if the scenario refers to them.
     networks = PreparedScenario.from_scenario(scenario).networks
     for file, element in scenario.used_elements():
-        notices += adapted_notices(element, file)
+        notices += list_adaptation_notices(element, file)
         if tag_without_namespace(element) == "Profiles":
             notices.append(profiles_file_notice(element, file))
         elif tag_without_namespace(element) == "OpenDRIVE":
             notices += list_unsupported(element, file, networks.get(file), is_complete)
         else:
             notices += _explain_by_version(
-                later_minor_version(element), OPENSCENARIO_SUPPORT.unsupported_notices(element, file, is_complete)
+                later_minor_version(element), OPENSCENARIO_SUPPORT.list_unsupported_notices(element, file, is_complete)
             )
     return sort_notices(merge_notices(notices))
 

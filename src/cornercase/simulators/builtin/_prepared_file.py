@@ -12,7 +12,7 @@ from lxml import etree
 
 from cornercase._common.errors import InputError
 from cornercase._common.io.support_table import SupportTable, tag_without_namespace
-from cornercase._common.text.source_lines import remove_file_prefix
+from cornercase._common.text.element_locations import remove_file_prefix
 from cornercase.roads._network import RoadNetwork
 from cornercase.scenario import ParameterDeclaration, Value
 from cornercase.scenario._constraints import read_declarations

@@ -14,7 +14,7 @@ from weakref import WeakSet
 from cornercase._common.errors import InputError, SimulationError
 from cornercase._common.io.support_table import Notice
 from cornercase._common.platform import count_available_cpus
-from cornercase._common.text.source_lines import prefix_file, remove_file_prefix
+from cornercase._common.text.element_locations import prefix_file, remove_file_prefix
 from cornercase._common.version import __version__
 from cornercase.drivers._resolve import DriverLike, check_drivers, is_compiled_driver_name
 from cornercase.recordings import Recording
@@ -160,7 +160,7 @@ class Builtin(Simulator):
             run = _PortionRun(concretes, {}, executor, Lock(), WeakSet(), [])
             try:
                 for indices in files.values():
-                    self._run_file(run, indices)
+                    self._run_scenario_file(run, indices)
                 # Recordings of the first batch are made while the next ones still run.
                 yield from _iter_results(run.progress, run.gil_lock)
                 for sentences in run.remarks:
@@ -171,7 +171,7 @@ class Builtin(Simulator):
                     batch.cancel()
                 raise
 
-    def _run_file(self, run: _PortionRun, indices: list[int]) -> None:
+    def _run_scenario_file(self, run: _PortionRun, indices: list[int]) -> None:
         prepared = self._prepare(run.concretes[indices[0]])
         for entity in self._drivers:
             prepared.scenario.require_entity(entity, "driven entity")

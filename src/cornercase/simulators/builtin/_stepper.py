@@ -21,8 +21,8 @@ from cornercase.simulators.builtin._gil import release_gil_lock
 from cornercase.simulators.builtin.actions._controller import DriverControl
 from cornercase.simulators.builtin.kernels._action_table import build_action_table
 from cornercase.simulators.builtin.kernels._actions import ACTION_KERNELS
-from cornercase.simulators.builtin.kernels._compiled_world import CompiledWorld
 from cornercase.simulators.builtin.kernels._conditions import ConditionSpec, build_condition_table
+from cornercase.simulators.builtin.kernels._kernel_interface import KernelInterface
 from cornercase.simulators.builtin.kernels._loop import (
     ACT,
     ACTION_ENDED,
@@ -40,7 +40,7 @@ from cornercase.simulators.builtin.kernels._loop import (
     LoopState,
     run_until_storyboard,
 )
-from cornercase.simulators.builtin.kernels._run import link_kernels, run_scenarios
+from cornercase.simulators.builtin.kernels._run import compile_loop_kernels, run_scenarios
 from cornercase.simulators.builtin.kernels._simulation_state import SimulationState, make_state_arrays
 from cornercase.simulators.builtin.storyboard._storyboard import Storyboard
 from cornercase.simulators.builtin.storyboard._triggers import Condition, DelayBuffer
@@ -116,7 +116,7 @@ class Stepper:
         self._roads = build_road_tables([]) if world.network is None else world.network.road_tables
         self._track_pool, self._planned_routes = TrackPool(), dict[tuple[int, int], int]()
         self._tracks = self._track_pool.update(world.tracks)
-        self._compiled_world = CompiledWorld(world, self.scene, self._track_pool, self._roads, self._actions)
+        self._kernel_interface = KernelInterface(world, self.scene, self._track_pool, self._roads, self._actions)
         # Time of the last lookup: if it did not help, the storyboard handles the scenario.
         self._last_lookup = np.full(world.scenarios, -1.0)
         self._bounds = [0, world.scenarios]
@@ -191,7 +191,7 @@ class Stepper:
                 self._evaluate_storyboard(waiting, is_first)
                 is_first = False
             elif any_true(waiting := status == NEEDS_DRIVER):
-                self._ask_drivers(waiting)
+                self._call_python_drivers(waiting)
             else:
                 break
         if world.needs_road_check:
@@ -217,7 +217,7 @@ class Stepper:
         if not (is_first or self._python_step):
             # Usually no other action ends in this frame.
             self._storyboard.end_instantaneous_actions()
-            loop.evaluates_each_frame[evaluated] = self._publish_triggers()[evaluated]
+            loop.evaluates_each_frame[evaluated] = self._pass_triggers_to_kernels()[evaluated]
             loop.status[world.running] = ACT
             self._run_until_stopped()
             world.running[:] = loop.status == ACTION_ENDED
@@ -229,7 +229,7 @@ class Stepper:
                 self._coupling.step(world, dt)
             place_trailers(world)
             world.started = True
-            evaluates_next = self._publish_triggers() | is_first | self._python_step
+            evaluates_next = self._pass_triggers_to_kernels() | is_first | self._python_step
             loop.evaluates_each_frame[acting] = evaluates_next[acting]
             loop.status[world.running] = ACTIONS_DONE
             self._run_until_stopped()
@@ -241,7 +241,7 @@ class Stepper:
         # In this thread: handing so little work to others would take longer.
         self._run_range(0, self._world.scenarios)
 
-    def _ask_drivers(self, waiting: BoolArray) -> None:
+    def _call_python_drivers(self, waiting: BoolArray) -> None:
         """Let drivers in Python decide, in those waiting scenarios with the fewest frames, once per time step."""
         world, loop, frames = self._world, self._loop_state, self.scene.n_frames
         waiting = waiting & (frames == frames[waiting].min())
@@ -264,13 +264,13 @@ class Stepper:
     def _count_tracks(self) -> int:
         return sum(map(len, self._world.tracks))
 
-    def _publish_triggers(self) -> BoolArray:
+    def _pass_triggers_to_kernels(self) -> BoolArray:
         """Pass pending triggers to the compiled loop; return the scenarios in which Python evaluates the next frame."""
         world, leaves, waiting = self._world, self._condition_table, self._storyboard.find_waiting_triggers()
         leaves.is_watched[:] = waiting.T
         # Triggers that depend on earlier values: one more evaluation shows whether they fire.
         in_python = waiting[self._triggers_with_memory].any(axis=0) & world.changed
-        in_python |= waiting[self._python_triggers].any(axis=0) | self._storyboard.waits_without_trigger()
+        in_python |= waiting[self._python_triggers].any(axis=0) | self._storyboard.find_untriggered_starts()
         for k, condition in self._constant_conditions:
             leaves.values[:, k, 0] = condition.constant_value(world)
         times = [np.where(waiting[t], past.oldest_pending_time(), np.inf) for t, past in self._condition_histories]
@@ -286,7 +286,7 @@ class Stepper:
         while True:
             if has_new_tracks:
                 self._tracks = self._track_pool.update(world.tracks)
-                self._give_drivers_their_paths()
+                self._update_driver_routes()
             self._bind_tables()
             with release_gil_lock(self._gil_lock):
                 list(self._parallel_map(self._run_range, self._bounds[:-1], self._bounds[1:]))
@@ -318,7 +318,7 @@ class Stepper:
             if is_compiled:
                 self._bound_tables = tracks, fleet
 
-    def _give_drivers_their_paths(self) -> None:
+    def _update_driver_routes(self) -> None:
         """Set the routes of compiled drivers along the tracks (paths) that their entities follow now."""
         world = self._world
         for driving in self._driver_actions:
@@ -354,7 +354,7 @@ def _bind_arguments(*arguments: Any) -> tuple[Callable[[int, int], object], bool
     if isinstance(run_until_storyboard, Dispatcher) and run_until_storyboard.overloads:
         types = (*map(typeof, arguments), int64, int64)
         if types in run_until_storyboard.overloads:
-            link_kernels(*arguments[:6])
+            compile_loop_kernels(*arguments[:6])
             compiled: Any = run_until_storyboard.overloads[types]
             return partial(compiled.entry_point, *arguments), True
     return partial(run_scenarios, *arguments), False

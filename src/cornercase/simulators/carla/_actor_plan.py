@@ -54,7 +54,7 @@ def plan_actors(
     path. `lowest_speeds`: lowest speed of each entity in the builtin simulator in m/s.
     """
     names = [element.get("name", "") for element in root.iterfind("Entities/ScenarioObject")]
-    parts = {name: list(_elements_moving(root, name)) for name in names}
+    parts = {name: list(_find_elements_moving_entity(root, name)) for name in names}
     reacting = _reacting_entities(root, parts, driven)
     result = ActorPlan(reacting=reacting - set(driven))
     result.notes += _describe_ineffective(root)
@@ -133,7 +133,7 @@ def _drop_events_of_driven(name: str, parts: list[etree._Element], actor_plan: A
         actor_plan.notes.append(f"{name}: its events are left out, as an agent drives it.")
 
 
-def _elements_moving(root: etree._Element, name: str) -> Iterator[etree._Element]:
+def _find_elements_moving_entity(root: etree._Element, name: str) -> Iterator[etree._Element]:
     """Yield the elements that move an entity.
 
     They are its initial actions, the actions that add or remove it, its maneuver groups, and the triggers of their
@@ -201,7 +201,7 @@ def _find_implicit_deviations(part: etree._Element, root: etree._Element) -> Ite
         if time.get("rule", "").startswith("less"):
             yield _approximate_finding(time, "ScenarioRunner counts from when it first looks at the condition")
     for state in part.iter("StoryboardElementStateCondition"):
-        if not _is_reference_kept(root, state):
+        if not _is_referenced_element_executed(root, state):
             yield _sampled_finding(state, "it waits for what is left out")
     act = part.getparent() if part.tag == "ManeuverGroup" else None
     if act is not None and not _starts_immediately(act) and any(True for _ in part.iter("SimulationTimeCondition")):
@@ -296,7 +296,7 @@ def _reacting_entities(
     return reacting
 
 
-def _is_reference_kept(root: etree._Element, state: etree._Element) -> bool:
+def _is_referenced_element_executed(root: etree._Element, state: etree._Element) -> bool:
     """Return whether the storyboard elements that a condition refers to exist and will be executed.
 
     Global actions and actions without effect are removed from the storyboard, so a condition cannot wait for them.

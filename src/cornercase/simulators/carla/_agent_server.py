@@ -17,7 +17,7 @@ import numpy as np
 
 from cornercase._common.errors import InputError, PluginError, SimulationError
 from cornercase._common.geometry.boxes import wrap_angle
-from cornercase._common.text.source_lines import prefix_file
+from cornercase._common.text.element_locations import prefix_file
 from cornercase.drivers import Controls, Driver, DrivingFunction, Situation, Start, View
 from cornercase.drivers._attached_driver import AttachedDriver, DriverError
 from cornercase.drivers._view import SharedView
@@ -46,7 +46,7 @@ class AgentServer:
         time_step: float,
         folder: Path,
     ) -> None:
-        self._start, self._first = _probe(concrete, ego, time_step)
+        self._start, self._first = _observe_initial_situation(concrete, ego, time_step)
         self._attached_driver, self._time_step, self._ego = AttachedDriver(driver, ego), time_step, ego
         self.failure: SimulationError | None = None
         self._begin_time: float | None = None
@@ -98,7 +98,7 @@ class AgentServer:
                         question = json.loads(line)
                         if question.get("token") != self._token:
                             return
-                        stream.write(json.dumps(self._answer(question["time"], question["states"])) + "\n")
+                        stream.write(json.dumps(self._decide_motion(question["time"], question["states"])) + "\n")
                         stream.flush()
         except DriverError as error:
             self.failure = error.error
@@ -107,7 +107,7 @@ class AgentServer:
         except Exception as error:
             self.failure = PluginError(f"{self._attached_driver.display_name} could not decide: {error}")
 
-    def _answer(self, now: float, states: Mapping[str, list[float]]) -> dict[str, Any]:
+    def _decide_motion(self, now: float, states: Mapping[str, list[float]]) -> dict[str, Any]:
         """Return the velocity and yaw rate that the driver decides for the ego at the time `now` in s.
 
         `states`: x, y, heading, speed, length and width of each entity.
@@ -124,12 +124,12 @@ class AgentServer:
             raise decision.failures[0]
         motion, ego = decision.motion.state, View(SharedView(situation), 0)
         if not decision.motion.is_steered[0]:
-            return self._follow(ego, float(motion.speed[0]))
+            return self._compute_motion_along_path(ego, float(motion.speed[0]))
         heading = float(situation.heading[0])
         dx, dy = float(motion.x[0] - situation.x[0]), float(motion.y[0] - situation.y[0])
         cos, sin = math.cos(heading), math.sin(heading)
         turn = float(wrap_angle(motion.heading[0] - heading))
-        return self._motion(heading, dx * cos + dy * sin, dy * cos - dx * sin, turn)
+        return self._format_motion(heading, dx * cos + dy * sin, dy * cos - dx * sin, turn)
 
     def _make_situation(self, time: float, states: Mapping[str, list[float]]) -> Situation:
         first, last = self._first, self._situation
@@ -164,16 +164,16 @@ class AgentServer:
         )
         return replace(situation, distance=SharedView(situation).own_pose_on_path[0])
 
-    def _follow(self, view: View, speed: float) -> dict[str, Any]:
+    def _compute_motion_along_path(self, view: View, speed: float) -> dict[str, Any]:
         """Return the velocity and yaw rate with which the ego follows its path, and gradually comes back to it."""
         ego, step = view.ego, self._time_step
         target, rest = view.path(speed * step), max(1.0 - step / _FADING_TIME, 0.0)
         turn = target.heading + rest * ego.turn
         x = target.x - rest * ego.offset * math.sin(target.heading)
         y = target.y + rest * ego.offset * math.cos(target.heading)
-        return self._motion(ego.heading, x, y, turn)
+        return self._format_motion(ego.heading, x, y, turn)
 
-    def _motion(self, heading: float, x: float, y: float, turn: float) -> dict[str, Any]:
+    def _format_motion(self, heading: float, x: float, y: float, turn: float) -> dict[str, Any]:
         """Return the velocity of the box's centre and the yaw rate for the motion of one time step.
 
         The reference point moves by `x` and `y` in m, as seen from the ego, which turns by `turn` in rad.
@@ -199,7 +199,7 @@ def _measure_speed(last: Situation, time: float, x: float, y: float, heading: fl
     return chord / float(np.sinc(half / math.pi)) / step
 
 
-class _Probe(DrivingFunction):
+class _SituationRecorder(DrivingFunction):
     """Driver that stores what a driver is given at the start of a scenario."""
 
     given: tuple[Start, Situation] | None = None
@@ -215,24 +215,24 @@ class _Probe(DrivingFunction):
         return Controls.from_acceleration(np.zeros(len(situation.active)))
 
 
-def _probe(concrete: ConcreteScenario, ego: str, time_step: float) -> tuple[Start, Situation]:
+def _observe_initial_situation(concrete: ConcreteScenario, ego: str, time_step: float) -> tuple[Start, Situation]:
     """Return what the ego's driver is given at the start of a scenario in the builtin simulator.
 
     Raises `InputError` if no driver could decide anything. Raises `SimulationError` if only the values are at fault,
     since a driver could decide with the values of the scenario file.
     """
     try:
-        return _probe_once(concrete, ego, time_step)
+        return _simulate_initial_situation(concrete, ego, time_step)
     except InputError as error:
         with suppress(InputError):
             if concrete.values:
-                _probe_once(replace(concrete, values={}), ego, time_step)
+                _simulate_initial_situation(replace(concrete, values={}), ego, time_step)
                 raise SimulationError(str(error).removesuffix(".")) from error
         raise
 
 
-def _probe_once(concrete: ConcreteScenario, ego: str, time_step: float) -> tuple[Start, Situation]:
-    probe = _Probe()
+def _simulate_initial_situation(concrete: ConcreteScenario, ego: str, time_step: float) -> tuple[Start, Situation]:
+    probe = _SituationRecorder()
     simulator = Builtin(time_step=time_step, duration=2.0 * time_step, drivers={ego: probe})
     (result,) = simulator.run([concrete])
     if isinstance(result, SimulationError):

@@ -13,7 +13,7 @@ from typing import IO, Any, Final
 from weakref import finalize
 
 from cornercase._common.errors import InputError, SimulatorError
-from cornercase._common.extras import describe_install, is_empty_extra
+from cornercase._common.optional_packages import describe_install, is_empty_extra
 from cornercase._common.platform import describe_exit_code, kill_process_tree
 from cornercase.simulators.carla._runner_environment import PYTHON_VARIABLE, RunnerEnvironment
 

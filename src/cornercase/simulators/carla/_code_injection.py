@@ -9,7 +9,7 @@ from typing import Final
 from lxml import etree
 
 from cornercase._common.errors import InputError
-from cornercase.scenario._runner_criteria import runner_criterion_name
+from cornercase.scenario._scenario_runner_criteria import find_requested_criterion
 
 # ScenarioRunner's own controllers; it would import any module that a scenario names.
 _ALLOWED_CONTROLLER_MODULES: Final = (
@@ -36,7 +36,7 @@ def pop_criteria(root: etree._Element) -> dict[str, etree._Element]:
         for group in trigger.findall("ConditionGroup"):
             for condition in group.findall("Condition"):
                 parameter_condition = condition.find("ByValueCondition/ParameterCondition")
-                name = "" if parameter_condition is None else runner_criterion_name(parameter_condition)
+                name = "" if parameter_condition is None else find_requested_criterion(parameter_condition)
                 if parameter_condition is not None and name and parameter_condition.get("parameterRef") not in declared:
                     criteria.setdefault(name, condition)
                     if group in trigger:

@@ -14,23 +14,23 @@ import numpy as np
 from lxml import etree
 
 from cornercase._common.errors import InputError
-from cornercase._common.extras import describe_install
 from cornercase._common.io.atomic import atomic_write_group
 from cornercase._common.io.files import atomic_write, check_output_differs_from_source
+from cornercase._common.optional_packages import describe_install
 from cornercase._common.validation import check_parameter_values, check_path
 from cornercase.recordings import Recording
 from cornercase.roads._network import RoadNetwork
 from cornercase.scenario import Value
-from cornercase.scenario._axes import mirror_axes
 from cornercase.scenario._concrete_file import copy_companion_file
 from cornercase.scenario._file import DRIVER_PROPERTY, ScenarioFile
+from cornercase.scenario._left_handed_axes import mirror_axes
 from cornercase.scenario._scope import Scope
 from cornercase.simulators.builtin._check import schema_errors
 from cornercase.simulators.carla._actor_plan import ActorPlan, plan_actors, refuse_unsupported, select_stop_conditions
 from cornercase.simulators.carla._code_injection import add_criteria, pop_criteria, refuse_code_injection
-from cornercase.simulators.carla._dialect import DrivingAgents, assign_controllers
-from cornercase.simulators.carla._ground import NARROW_WIDTH, VERGE_WIDTH, find_entities_beyond_ground, is_flat
-from cornercase.simulators.carla._route_check import find_deviating_entities, initial_heights
+from cornercase.simulators.carla._controller_assignment import DrivingAgents, assign_controllers
+from cornercase.simulators.carla._path_deviations import find_deviating_entities, initial_heights
+from cornercase.simulators.carla._road_conversion import NARROW_WIDTH, VERGE_WIDTH, find_entities_beyond_ground, is_flat
 from cornercase.simulators.carla._storyboard_rewrite import (
     add_missing_start_triggers,
     copy_stop_trigger_to_acts,
@@ -244,7 +244,7 @@ def make_concrete_tree(scenario: ScenarioFile, values: Mapping[str, Value]) -> e
     for child in root:
         _resolve_expressions(child, scope)
     _trim_numbers(root)
-    if scenario.is_left_handed:
+    if scenario.has_left_handed_axes:
         mirror_axes(root)
     return root
 
@@ -276,7 +276,7 @@ def _make_tree_1_0(
     beyond_ground = (
         [] if recording is None or road is None else _describe_missing_ground(recording, road, scenario, options)
     )
-    axes_notes = (_AXES_NOTE,) if scenario.is_left_handed else ()
+    axes_notes = (_AXES_NOTE,) if scenario.has_left_handed_axes else ()
     actor_plan = plan_actors(root, sorted(driven), scenario.path, map_name, astray, slowest)
     notes = [*axes_notes, *actor_plan.notes, *beyond_ground]
     for name in actor_plan.sampled if not options.open_loop else ():

@@ -83,7 +83,7 @@ def run_scenario_runner(
             stopped = _wait_for_end(runner, tracker, log, limits, before_start)
         except SimulatorError:
             # CARLA's client may abort when the process ends that has failed.
-            if limits.describe_server_end() or not _is_of_scenario(_read_failure(failure)):
+            if limits.describe_server_end() or not _is_caused_by_scenario(_read_failure(failure)):
                 raise
             stopped = False
         finally:
@@ -163,17 +163,17 @@ def _read_output(log: Path) -> str:
             file.seek(max(log.stat().st_size - _LAST_OUTPUT, 0))
             return file.read().decode("utf-8", errors="replace")
     except OSError as error:
-        raise _lost_file_error(log, error) from error
+        raise _make_unreadable_file_error(log, error) from error
 
 
 def _read_frame(file: Path) -> int:
     try:
         return int(file.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
-        raise _lost_file_error(file, error) from error
+        raise _make_unreadable_file_error(file, error) from error
 
 
-def _lost_file_error(file: Path, error: Exception) -> SimulationError:
+def _make_unreadable_file_error(file: Path, error: Exception) -> SimulationError:
     reason = error.strerror if isinstance(error, OSError) else error
     return SimulationError(
         f"{file.name}, which ScenarioRunner wrote into the folder of the run, cannot be read ({reason}); an agent must"
@@ -200,7 +200,7 @@ def _read_failure(file: Path) -> str:
         return ""
 
 
-def _is_of_scenario(error: str) -> bool:
+def _is_caused_by_scenario(error: str) -> bool:
     """Return whether an error is due to the scenario, so that it would occur again; False for an empty text."""
     is_of_server = error.startswith(_ERRORS_OF_SERVER) and any(words in error for words in _WORDS_OF_SERVER)
     return bool(error) and not is_of_server
@@ -218,7 +218,7 @@ def _explain_failure(failure: str, output: str, exit_code: int | None, tracker: 
     # CARLA's client aborts if an answer or a snapshot of the server is cut, but also while a process ends that has
     # failed for another reason. An error that was printed before need not be the reason, since an agent prints, too.
     is_aborted = exit_code is not None and exit_code < 0 and not failure and _LOAD_MESSAGE not in lines
-    is_of_scenario = _is_of_scenario(reason)
+    is_of_scenario = _is_caused_by_scenario(reason)
     if not reason or (is_of_scenario and is_aborted):
         ended = "it had to be ended" if exit_code is None else f"it {describe_exit_code(exit_code)}"
         reason, is_of_scenario = f"{ended}; its last words: {(lines or ['none'])[-1]}", not is_aborted

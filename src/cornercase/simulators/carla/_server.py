@@ -74,45 +74,45 @@ class CarlaServer:
         `town`: name of CARLA's map, or empty. `road`: text of the road file, or empty. `keep`: role name of an actor
         that stays. Raises `InputError` if the server has no map of this name.
         """
-        if available := self._ask("load_map", town, road, _MESH, _LOAD_TIMEOUT, self.patience):
+        if available := self._call_client("load_map", town, road, _MESH, _LOAD_TIMEOUT, self.patience):
             raise InputError(
                 f"CARLA on {self._address} has no map '{town}', only {', '.join(available)}; install it there, or name"
                 " a road file."
             )
-        self._ask("leave_synchronous_mode", self._renders)
-        self._ask("remove_actors", keep)
+        self._call_client("leave_synchronous_mode", self._renders)
+        self._call_client("remove_actors", keep)
 
     def leave_synchronous_mode(self) -> None:
         """Leave synchronous mode, in which the server would wait for ticks; does nothing without a client."""
         if self._client is not None:
-            self._ask("leave_synchronous_mode")
+            self._call_client("leave_synchronous_mode")
 
     def start_recorder(self, path: Path) -> None:
         """Let CARLA's recorder write a recording into a file on the server's machine."""
-        self._ask("start_recorder", str(path))
+        self._call_client("start_recorder", str(path))
 
     def stop_recorder(self) -> None:
         """Stop CARLA's recorder, so that it closes its file."""
-        self._ask("stop_recorder")
+        self._call_client("stop_recorder")
 
     def track(self, names: Sequence[str], external: str) -> None:
         """Begin to record the actors with these role names; only the actor `external` may exist already."""
-        self._ask("track", list(names), external)
+        self._call_client("track", list(names), external)
 
     def poll(self) -> dict[str, Any]:
         """Return the frames, contacts and entities that were recorded since the last call."""
-        result: dict[str, Any] = self._ask("poll")
+        result: dict[str, Any] = self._call_client("poll")
         return result
 
     def end_tracking(self) -> None:
         """Remove the sensors, and stop recording."""
-        self._ask("end_tracking")
+        self._call_client("end_tracking")
 
     @property
     def _address(self) -> str:
         return f"{self.host}:{self.port}"
 
-    def _ask(self, method: str, *arguments: object) -> Any:
+    def _call_client(self, method: str, *arguments: object) -> Any:
         if self._client is None:
             raise SimulatorError(f"CARLA on {self._address} is gone")
         try:

@@ -17,8 +17,8 @@ import numpy as np
 from cornercase._common.errors import InputError, SimulationError, SimulatorError, suggest_name
 from cornercase._common.io.support_table import Notice, merge_notices
 from cornercase.drivers import Driver
-from cornercase.drivers._description import serialize_driver
 from cornercase.drivers._resolve import DriverLike, check_drivers, driver_by_name
+from cornercase.drivers._serialization import serialize_driver
 from cornercase.recordings import Recording
 from cornercase.recordings.formats._carla_log import read_carla_log
 from cornercase.scenario import ConcreteScenario, Value
@@ -26,9 +26,9 @@ from cornercase.scenario._file import ScenarioFile
 from cornercase.simulators._base import Availability, Simulator, check_seed, check_settings
 from cornercase.simulators._server_addresses import worker_address
 from cornercase.simulators.carla._agent_server import AGENT_FILE, AgentServer
+from cornercase.simulators.carla._carla_process import make_carla_process
 from cornercase.simulators.carla._client_process import find_client_version
-from cornercase.simulators.carla._dialect import BEHAVIORS, DrivingAgents
-from cornercase.simulators.carla._ground import road_text_for_carla
+from cornercase.simulators.carla._controller_assignment import BEHAVIORS, DrivingAgents
 from cornercase.simulators.carla._openscenario_1_0 import (
     GROUND_NOTE,
     ConversionOptions,
@@ -36,13 +36,13 @@ from cornercase.simulators.carla._openscenario_1_0 import (
     make_concrete_tree,
 )
 from cornercase.simulators.carla._overridden_parameters import describe_overridden_parameters
-from cornercase.simulators.carla._run_file import write_run_file
+from cornercase.simulators.carla._road_conversion import road_text_for_carla
+from cornercase.simulators.carla._run_scenario_file import write_run_scenario
 from cornercase.simulators.carla._runner_environment import RunnerEnvironment
 from cornercase.simulators.carla._runner_process import RunnerProcess
 from cornercase.simulators.carla._scenario_runner import RunLimits, SilenceError, run_scenario_runner
 from cornercase.simulators.carla._server import CarlaServer
 from cornercase.simulators.carla._server_lock import ServerLock
-from cornercase.simulators.carla._started_server import make_carla_process
 from cornercase.simulators.carla._support_table import HandlingStatus, find_unsupported
 from cornercase.simulators.carla._tracker import EntityTracker
 
@@ -175,7 +175,7 @@ class Carla(Simulator):
         rendering: bool | None = None,
     ) -> None:
         self._common_settings = check_settings(time_step, duration, on_collision, None)
-        self._drivers, self._attached = _read_drivers(drivers, ego)
+        self._drivers, self._attached = _split_drivers(drivers, ego)
         if record not in ("client", "recorder"):
             raise InputError(f"record={record}: {suggest_name(str(record), ('client', 'recorder'))}")
         if not patience > 0.0:
@@ -244,7 +244,7 @@ class Carla(Simulator):
             for finding in find_unsupported(root)
             if finding.row.status in _REPLACEMENT_BY_STATUS
         )
-        return merge_notices((*scenario.left_handed_notices(), *ignored))
+        return merge_notices((*scenario.left_handed_axes_notices(), *ignored))
 
     @classmethod
     def availability(cls) -> Availability:
@@ -290,15 +290,15 @@ class Carla(Simulator):
             behaviors = self._behavior_agents(scenario)
             self._lock.acquire()
             try:
-                if self._process is not None and self._process.prepare_scenario():
+                if self._process is not None and self._process.start_if_needed():
                     self._server.disconnect()
                 yield self._run_scenario(scenario, concrete, behaviors)
             except SimulationError as error:
                 if isinstance(error, SimulatorError):
-                    self._give_up_server()
+                    self._stop_server()
                 yield error
 
-    def _give_up_server(self) -> None:
+    def _stop_server(self) -> None:
         """End the client, and the server if it was started here, so that the next scenario starts both again."""
         self._server.disconnect()
         if self._process is not None:
@@ -393,7 +393,7 @@ class Carla(Simulator):
         self, folder: Path, scenario: ScenarioFile, concrete: ConcreteScenario, agents: DrivingAgents
     ) -> Recording:
         file, drivers = folder / "cornercase.xosc", folder / "drivers"
-        notes = write_run_file(
+        notes = write_run_scenario(
             scenario, concrete.values, file, ego=self._ego,
             options=ConversionOptions(
                 agents, self._time_step, self._duration, open_loop=self._open_loop, road_file=_ROAD_FILE,
@@ -428,7 +428,7 @@ class Carla(Simulator):
                     before_start=(lambda: server.start_recorder(log)) if self._record == "recorder" else lambda: None,
                 )  # fmt: skip
             except BaseException as error:
-                self._release_server()
+                self._leave_synchronous_mode_safely()
                 if isinstance(error, SilenceError) and server.is_connected:
                     raise self._explain_silence(error, tracker) from error
                 raise
@@ -441,7 +441,7 @@ class Carla(Simulator):
         )
         return recording if self._record == "client" else self._read_recorder_file(log, recording)
 
-    def _release_server(self) -> None:
+    def _leave_synchronous_mode_safely(self) -> None:
         """Leave synchronous mode after a failure; errors are ignored, since the failure itself is raised."""
         try:
             if self._describe_server_end():
@@ -503,7 +503,7 @@ class Carla(Simulator):
         )
 
 
-def _read_drivers(drivers: Mapping[str, DriverLike] | None, ego: str) -> tuple[dict[str, str], Driver | None]:
+def _split_drivers(drivers: Mapping[str, DriverLike] | None, ego: str) -> tuple[dict[str, str], Driver | None]:
     """Split drivers into CARLA's behaviour agents, by entity, and the driver of the ego, if it has another one.
 
     Raises `InputError` if an entity other than the ego has a driver that is no behaviour agent.

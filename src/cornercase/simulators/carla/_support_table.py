@@ -83,7 +83,7 @@ def load_support_table() -> dict[tuple[str, str], tuple[SupportRow, ...]]:
     return {key: tuple(sorted(rows, key=lambda row: -row.element.count("/"))) for key, rows in rows_by_name.items()}
 
 
-def find_row(path: tuple[str, ...], attribute: str = "", value: str = "") -> SupportRow | None:
+def find_support_row(path: tuple[str, ...], attribute: str = "", value: str = "") -> SupportRow | None:
     """Return the row of the table for an element (as a path of names) or its attribute; None without a row."""
     for row in load_support_table().get((path[-1], attribute), ()):
         names = tuple(row.element.split("/"))
@@ -99,7 +99,7 @@ def find_unsupported(element: etree._Element) -> Iterator[SupportFinding]:
     out, rewritten or replaced, its children are skipped.
     """
     path = tuple(str(ancestor.tag) for ancestor in (*reversed(list(element.iterancestors())), element))
-    row = find_row(path) or _unknown_row(path[-1], "")
+    row = find_support_row(path) or _unknown_row(path[-1], "")
     if row.status is not HandlingStatus.EXECUTED:
         yield SupportFinding(f"<{path[-1]}>", row, element)
     if row.status not in (HandlingStatus.EXECUTED, HandlingStatus.APPROXIMATE):
@@ -107,7 +107,7 @@ def find_unsupported(element: etree._Element) -> Iterator[SupportFinding]:
     for name, value in ((str(name), str(value)) for name, value in element.items()):
         if name.startswith("{"):
             continue
-        attribute_row = find_row(path, name, value) or _unknown_row(path[-1], name)
+        attribute_row = find_support_row(path, name, value) or _unknown_row(path[-1], name)
         if attribute_row.status is not HandlingStatus.EXECUTED:
             yield SupportFinding(f"{name} '{value}' of <{path[-1]}>", attribute_row, element)
     for child in element.iterchildren("*"):
@@ -122,7 +122,7 @@ def find_version_gaps(element: etree._Element) -> dict[str, tuple[str, ...]]:
     gaps: dict[str, tuple[str, ...]] = {}
     for child in element.iter("*"):
         path = tuple(str(ancestor.tag) for ancestor in (*reversed(list(child.iterancestors())), child))
-        row = find_row(path)
+        row = find_support_row(path)
         if row is not None and 0 < len(row.versions) < len(VERSIONS):
             gaps[f"<{child.tag}>"] = row.versions
     return gaps

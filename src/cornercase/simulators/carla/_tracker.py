@@ -104,14 +104,14 @@ class EntityTracker:
 
     def progress(self) -> tuple[float, bool]:
         """Return the elapsed time of the run in s, and whether the ego has been removed."""
-        run = self._run_frames()
+        run = self._select_frames_of_run()
         if not run:
             return 0.0, False
         return (len(run) - 1) * self._time_step, self._ids[self._ego] not in self._frames[-1].poses
 
     def describe_early_end(self) -> str:
         """Return, as a clause, why the recording ends before the storyboard; empty if it does not."""
-        run = self._run_frames()
+        run = self._select_frames_of_run()
         later = [] if not run else [frame for frame in self._frames if run[-1].number < frame.number <= self.last_frame]
         # ScenarioRunner may remove entities at the end of the last frame.
         if len({frame.number for frame in later}) < 2:
@@ -126,7 +126,7 @@ class EntityTracker:
 
         `source` names the run in messages.
         """
-        frames = self._run_frames()
+        frames = self._select_frames_of_run()
         if len(frames) < 2:
             raise SimulationError(f"CARLA sent fewer than two frames with all of {', '.join(self._names)}")
         first = frames[0].number
@@ -148,7 +148,7 @@ class EntityTracker:
         ]
         return recording_from_samples(source, tracks, collisions_until_end)
 
-    def _run_frames(self) -> list[_TrackedFrame]:
+    def _select_frames_of_run(self) -> list[_TrackedFrame]:
         """Return the frames of the run, from the start of the storyboard to the last frame with the ego.
 
         Raises `SimulatorError` if a frame between them is missing.

@@ -11,7 +11,7 @@ import numpy as np
 from lxml import etree
 
 from cornercase._common.errors import InputError, SimulationError
-from cornercase._common.text.source_lines import prefix_file
+from cornercase._common.text.element_locations import prefix_file
 from cornercase._common.typing import FloatArray
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario, Value
@@ -166,7 +166,7 @@ def _add_entity_trajectory(act: etree._Element, trajectory: Trajectory, name: st
         if k:
             start_trigger = make_time_condition(f"{name} jumps", start)
         event = f"{name} moves" if k == 0 else f"{name} moves on from {vertices[1, 0]:g} s"
-        _add_event(maneuver, event, _make_follow_action(vertices, event), start_trigger)
+        _add_event(maneuver, event, _make_trajectory_action(vertices, event), start_trigger)
     if trajectory.end is not None:
         event = f"{name} vanishes"
         delete = E.GlobalAction(E.EntityAction(E.DeleteEntityAction(), entityRef=name))
@@ -193,7 +193,7 @@ def _find_jumps(time: FloatArray, x: FloatArray, y: FloatArray, speed: FloatArra
     return [0, *indices] if abs(speeds[0] - abs(speed[0])) > _MAX_SPEED_ERROR else indices
 
 
-def _make_follow_action(trajectory: FloatArray, name: str) -> etree._Element:
+def _make_trajectory_action(trajectory: FloatArray, name: str) -> etree._Element:
     """Create the action that follows a trajectory.
 
     The columns of `trajectory` are time in s, x and y in m, and heading in rad.

@@ -182,7 +182,7 @@ def _interpolate_trajectory(points: List[Any]) -> Any:
         return interpolate_trajectory(points)
     except TypeError:
         # As in `_trace_route`.
-        legs = [_follow_lane(start, target) for start, target in zip(points[:-1], points[1:])]  # noqa: B905, RUF007 - older Python
+        legs = [_trace_lane(start, target) for start, target in zip(points[:-1], points[1:])]  # noqa: B905, RUF007 - older Python
         route = [(waypoint.transform, option) for leg in legs for waypoint, option in leg]
         tools = importlib.import_module("srunner.tools.route_manipulation")
         return tools.location_route_to_gps(route, *tools._get_latlon_ref(world)), route
@@ -196,7 +196,7 @@ def _trace_route(planner: Any, start: Any, target: Any) -> List[Tuple[Any, Any]]
     try:
         return list(planner.trace_route(start, target))
     except TypeError:
-        return _follow_lane(start, target)
+        return _trace_lane(start, target)
     except Exception as error:
         if type(error).__name__ != "NetworkXNoPath":
             raise
@@ -204,7 +204,7 @@ def _trace_route(planner: Any, start: Any, target: Any) -> List[Tuple[Any, Any]]
         raise RuntimeError(f"CARLA's route planner finds no way from {ends}; correct the route") from error
 
 
-def _follow_lane(start: Any, target: Any) -> List[Tuple[Any, Any]]:
+def _trace_lane(start: Any, target: Any) -> List[Tuple[Any, Any]]:
     """Return waypoints and road options along a lane, from a position to the point nearest to a target."""
     waypoint = CarlaDataProvider.get_map().get_waypoint(start)
     plan = [(waypoint, RoadOption.LANEFOLLOW)]

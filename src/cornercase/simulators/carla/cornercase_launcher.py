@@ -39,11 +39,11 @@ def main() -> int:
     # What ScenarioRunner prints must not be taken for an answer.
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)
-    n_threads = _count_threads_of_libraries()
+    n_threads = _import_threaded_libraries()
     importlib.import_module("scenario_runner")
     can_fork = _can_fork(n_threads)
     if can_fork:
-        _read_schema()
+        _preload_schema()
         _adopt_descendants()
     # Programs that an agent starts get an empty input, or they would read the requests of later scenarios.
     requests = os.dup(0)
@@ -62,7 +62,7 @@ def main() -> int:
         sys.stderr.flush()
         child = os.fork() if can_fork else 0
         if child == 0 and can_fork:
-            _seed_again()
+            _reseed_numpy()
         if child == 0:
             if not can_fork:
                 _answer(answers, "started", os.getpid())
@@ -71,11 +71,11 @@ def main() -> int:
         _answer(answers, "started", child)
         state = os.waitid(os.P_PID, child, os.WEXITED | os.WNOWAIT)
         assert state is not None
-        _kill_children_but(child)
+        _kill_leftover_processes(child)
         _answer(answers, "ended", state.si_status if state.si_code == os.CLD_EXITED else -state.si_status)
 
 
-def _count_threads_of_libraries() -> int:
+def _import_threaded_libraries() -> int:
     """Import libraries that start their threads again after a fork; return this process's number of threads."""
     for name in ("numpy", "scipy.linalg"):
         with suppress(ImportError):
@@ -95,7 +95,7 @@ def _can_fork(n_threads: int) -> bool:
     return sys.platform == "linux" and threading.active_count() == 1 and 0 < _count_threads() <= n_threads
 
 
-def _read_schema() -> None:
+def _preload_schema() -> None:
     """Read OpenSCENARIO's schema once for all scenarios.
 
     ScenarioRunner would read it for each scenario, which takes longer than everything else that it does at the start.
@@ -125,7 +125,7 @@ def _adopt_descendants() -> None:
         ctypes.CDLL(None).prctl(_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
 
 
-def _kill_children_but(ended: int) -> None:
+def _kill_leftover_processes(ended: int) -> None:
     """Kill the processes that a scenario has left, since they might go on to act on the server.
 
     `ended` is the number of the scenario's own process, which has ended already.
@@ -146,7 +146,7 @@ def _kill_children_but(ended: int) -> None:
                 os.waitpid(child, 0)
 
 
-def _seed_again() -> None:
+def _reseed_numpy() -> None:
     """Seed NumPy again, so that the random numbers of this fork differ from those of other forks.
 
     Python itself does this for the module `random`.
@@ -185,7 +185,7 @@ def _run_scenario(request: dict[str, Any], requests: int) -> int:
         except BaseException as error:
             # An agent may have changed the folder.
             with suppress(OSError):
-                _write(FAILURE_FILE, f"{type(error).__name__}: {error}")
+                _write_atomically(FAILURE_FILE, f"{type(error).__name__}: {error}")
             raise
         _write_frame(world, LAST_FRAME_FILE)
         return result
@@ -216,10 +216,10 @@ def _answer(answers: Any, word: str, number: int) -> None:
 
 
 def _write_frame(world: Any, name: str) -> None:
-    _write(name, str(world.get_snapshot().frame))
+    _write_atomically(name, str(world.get_snapshot().frame))
 
 
-def _write(name: str, text: str) -> None:
+def _write_atomically(name: str, text: str) -> None:
     with open(name + ".part", "w", encoding="utf-8", errors="replace") as file:
         file.write(text)
     os.rename(name + ".part", name)

@@ -99,13 +99,13 @@ class CornercaseTrajectory(BasicControl):  # type: ignore[misc]
 
     def _pose_at(self, part: List[List[float]], elapsed: float) -> Tuple[float, float, float]:
         """Return x and y in m and yaw in degrees of the actor at a time in s, in CARLA's left-handed axes."""
-        start, end, fraction = _leg_at(part, elapsed)
+        start, end, fraction = _find_segment_at(part, elapsed)
         x, y, heading = (start[k] + fraction * (end[k] - start[k]) for k in (1, 2, 3))
         x, y = x + self._origin_offset * math.cos(heading), y + self._origin_offset * math.sin(heading)
         return x, -y, -math.degrees(heading)
 
 
-def _leg_at(part: List[List[float]], elapsed: float) -> Tuple[List[float], List[float], float]:
+def _find_segment_at(part: List[List[float]], elapsed: float) -> Tuple[List[float], List[float], float]:
     """Return the vertices before and after a time in s, and the fraction of the interval that has elapsed.
 
     `part` is a list of vertices: time in s, x and y in m, and heading in rad.
@@ -117,7 +117,7 @@ def _leg_at(part: List[List[float]], elapsed: float) -> Tuple[List[float], List[
 
 
 def _speed_at(part: List[List[float]], elapsed: float) -> float:
-    start, end, _ = _leg_at(part, elapsed)
+    start, end, _ = _find_segment_at(part, elapsed)
     span = end[0] - start[0]
     return math.hypot(end[1] - start[1], end[2] - start[2]) / span if span > 0.0 else 0.0
 

@@ -192,7 +192,7 @@ class CarMaker(Simulator):
             testrun = self._testrun_name(scenario)
             files = self._read_testrun(testrun)
             if files is not None:
-                _require_used(concrete.values.keys() - set(scenario.parameters), files, "the search")
+                _require_named_values_used(concrete.values.keys() - set(scenario.parameters), files, "the search")
             boxes = find_entity_boxes(scenario, concrete.values, files)
             self._licence.acquire()
             try:
@@ -217,8 +217,8 @@ class CarMaker(Simulator):
 
     def _run_testrun(self, testrun: str, values: Mapping[str, Value], quantities: Sequence[str]) -> Path:
         if self._uses_api:
-            return self._start_by_api(testrun).run_testrun(testrun, values, quantities)
-        if self._server is not None and self._server.prepare_scenario():
+            return self._provide_api_client(testrun).run_testrun(testrun, values, quantities)
+        if self._server is not None and self._server.start_if_needed():
             self._disconnect()
         if self._tcl_client is None:
             self._tcl_client = TclClient(self._host, self._port)
@@ -230,7 +230,7 @@ class CarMaker(Simulator):
             self._disconnect()
             raise
 
-    def _start_by_api(self, testrun: str) -> CmapiClient:
+    def _provide_api_client(self, testrun: str) -> CmapiClient:
         if self._api is None:
             try:
                 self._api = CmapiClient(self._project, testrun, self._timeout)
@@ -294,7 +294,9 @@ class CarMaker(Simulator):
             )
         else:
             # Parameters that other parts of the scenario file use, such as boxes, need not be in the TestRun.
-            _require_used(set(scenario.parameters) - _names_in_use(scenario), files, str(scenario.path))
+            _require_named_values_used(
+                set(scenario.parameters) - _find_used_parameters(scenario), files, str(scenario.path)
+            )
             if files.trailer:
                 self.notify(
                     [
@@ -358,7 +360,7 @@ def _check_interface(via: str, duration: float, speedup: float) -> None:
         )
 
 
-def _names_in_use(scenario: ScenarioFile) -> set[str]:
+def _find_used_parameters(scenario: ScenarioFile) -> set[str]:
     """Return the names of parameters that occur in the parts of a scenario file that are read for CarMaker.
 
     For instance, boxes are read, but not the storyboard.
@@ -371,7 +373,7 @@ def _names_in_use(scenario: ScenarioFile) -> set[str]:
     return names
 
 
-def _require_used(names: AbstractSet[str], files: TestRunFiles, owner: str) -> None:
+def _require_named_values_used(names: AbstractSet[str], files: TestRunFiles, owner: str) -> None:
     """Refuse named values that a TestRun does not use, since CarMaker would accept them silently.
 
     `owner` says in the message where the named values come from.

@@ -120,7 +120,7 @@ class TclTestRun:
 
     def run_testrun(self, testrun: str, values: Mapping[str, Value]) -> Path:
         """Run a TestRun with named values, and return the new result file."""
-        self._require_idle()
+        self._make_idle()
         before = ResultFileTracker(self._project)
         self._send(f'LoadTestRun "{testrun}"')
         if self._quantities:
@@ -155,7 +155,7 @@ class TclTestRun:
     def _send(self, command: str) -> str:
         return self._client.send(command, self._start_timeout)
 
-    def _require_idle(self) -> None:
+    def _make_idle(self) -> None:
         """Stop a run that is active, and wait until CarMaker is idle, also after a fatal error (FailSafe)."""
         status = self._read_status(raises_if_fatal=False)
         if status == _IDLE:

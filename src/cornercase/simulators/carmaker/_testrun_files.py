@@ -55,7 +55,7 @@ def read_testrun_files(project: Path, testrun: str) -> TestRunFiles | None:
     named = _named_values(entries)
     boxes = _traffic_boxes(entries)
     vehicle = data / "Vehicle" / entries.get("Vehicle", "")
-    files, seen = [*_named_files(data, entries)], {path}
+    files, seen = [*_find_referenced_files(data, entries)], {path}
     while files and len(seen) < _MAX_FILES:
         file = files.pop()
         if file in seen:
@@ -65,7 +65,7 @@ def read_testrun_files(project: Path, testrun: str) -> TestRunFiles | None:
         with suppress(InputError):
             others = _read_entries(file, _MAX_NAMED_FILE_SIZE)
             named |= _named_values(others)
-            files.extend(_named_files(data, others))
+            files.extend(_find_referenced_files(data, others))
             if file == vehicle:
                 boxes |= _vehicle_box(others)
     version = _VERSION.search(entries.get("FileCreator", ""))
@@ -111,7 +111,7 @@ def _named_values(entries: dict[str, str]) -> set[str]:
     return {first or second for value in values for first, second in _NAMED_VALUE.findall(value)}
 
 
-def _named_files(data: Path, entries: dict[str, str]) -> list[Path]:
+def _find_referenced_files(data: Path, entries: dict[str, str]) -> list[Path]:
     """Return the files below ``Data`` that values name, as in ``Vehicle = DemoCar``."""
     names = {value for value in entries.values() if value and len(value) < 200 and "\n" not in value}
     files = []

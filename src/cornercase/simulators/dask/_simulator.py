@@ -19,7 +19,7 @@ from cornercase._common.process.dask import (
     disconnect,
     pop_result,
     scheduler_gone_error,
-    wait_any,
+    wait_for_any_task,
     wait_for_workers,
 )
 from cornercase._common.version import __version__
@@ -37,7 +37,7 @@ from cornercase.simulators.dask._worker import (
     TaskId,
     close_job,
     forget_task,
-    identity_task,
+    return_bundle,
     run_scenarios_of_job,
 )
 
@@ -123,7 +123,7 @@ class ClusterSimulator(RemoteSimulator):
                     task = waiting.popleft()
                     running[self._submit_task(task, concretes, resources)] = task
                 resource = next(iter(resources), None)
-                for future in wait_any(self._client, list(running), resource, self._worker_timeout):
+                for future in wait_for_any_task(self._client, list(running), resource, self._worker_timeout):
                     self._collect_result(future, running.pop(future), waiting, done)
                 while n_yielded in done:
                     yield done.pop(n_yielded)
@@ -194,7 +194,7 @@ class ClusterSimulator(RemoteSimulator):
         key = scenario.fingerprint() + str(scenario.path)
         if key not in self._sent_bundles or self._sent_bundles[key][1].status not in ("pending", "finished"):
             bundle = ScenarioBundle.from_file(scenario)
-            future = self._client.submit(identity_task, bundle, key=f"cornercase-parcel-{uuid.uuid4().hex}", pure=False)
+            future = self._client.submit(return_bundle, bundle, key=f"cornercase-parcel-{uuid.uuid4().hex}", pure=False)
             self._sent_bundles[key] = bundle, future
         return self._sent_bundles[key][1]
 

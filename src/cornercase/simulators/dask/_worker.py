@@ -135,7 +135,7 @@ _JOB_STATES: Final[dict[str, _JobState]] = {}
 _LOCK: Final = Lock()
 
 
-def identity_task(bundle: ScenarioBundle) -> ScenarioBundle:
+def return_bundle(bundle: ScenarioBundle) -> ScenarioBundle:
     """Return a bundle of scenario files unchanged; as a Dask task, this stores the bundle on the cluster."""
     return bundle
 

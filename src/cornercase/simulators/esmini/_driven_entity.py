@@ -13,7 +13,7 @@ from cornercase._common.errors import InputError, SimulationError
 from cornercase._common.typing import FloatArray
 from cornercase.drivers import DrivenPath, Driver, Situation
 from cornercase.drivers._attached_driver import AttachedDriver, DriverError
-from cornercase.drivers._function import Start
+from cornercase.drivers._driving_function import Start
 from cornercase.drivers._parameters import read_parameters
 from cornercase.scenario import Value
 from cornercase.scenario._file import ScenarioFile
@@ -26,9 +26,9 @@ from cornercase.simulators.builtin.paths._positions import read_position
 from cornercase.simulators.builtin.paths._trajectory_shapes import read_trajectory
 from cornercase.simulators.builtin.tracks._track import Trajectory
 from cornercase.simulators.builtin.world._world import Entity, World
-from cornercase.simulators.esmini._drivable import find_initial_trajectory, has_initial_speed
+from cornercase.simulators.esmini._driver_support import find_initial_trajectory_action, has_initial_speed
 from cornercase.simulators.esmini._followed_path import FollowedPath
-from cornercase.simulators.esmini._library import ObjectState, call_after_moves
+from cornercase.simulators.esmini._library import ObjectState, register_move_callback
 
 # Bit of `ObjectState.visible`: others see the entity.
 _SEEN_BY_TRAFFIC: Final = 2
@@ -103,7 +103,7 @@ def _read_trajectory(
     scenario: ScenarioFile, values: Mapping[str, Value], world: World, entity: int
 ) -> Trajectory | None:
     """Return the trajectory that an entity follows from the start; None if it follows lanes."""
-    action, scope = find_initial_trajectory(scenario, world.names[entity]), scenario.scope([values])
+    action, scope = find_initial_trajectory_action(scenario, world.names[entity]), scenario.scope([values])
     if action is None:
         return None
     holder, mode = action.find("TrajectoryRef"), action.find("TrajectoryFollowingMode")
@@ -184,7 +184,7 @@ class DrivenEntity:
         if state is None:
             return None
         if self._previous_speed is None:
-            call_after_moves(self._lib, state.id, self._after_move)
+            register_move_callback(self._lib, state.id, self._after_move)
             self._previous_speed = state.speed
             if self._sets_speed:
                 self._target_speed = state.speed
@@ -208,7 +208,7 @@ class DrivenEntity:
         self._lib.SE_ReportObjectSpeed(state.id, self._marked_speed)
         return None
 
-    def check_step(self) -> None:
+    def raise_step_error(self) -> None:
         """Raise the exception that occurred while esmini made the step, if any.
 
         Also raises `InputError` if esmini has not reported that it has moved the entity.

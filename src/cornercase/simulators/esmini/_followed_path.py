@@ -51,12 +51,12 @@ class FollowedPath:
         """Locate the entity on its path, or find a new path along its lane if the entity has left its path."""
         track, route = self._track, read_route(self._lib, state.id)
         if isinstance(track, Trajectory):
-            self._find_on(track, state)
+            self._locate_on_track(track, state)
             if self.distance < track.lengths[0] - _END_TOLERANCE:
                 return
         road = self._network.find_road(read_road_name(self._lib, state.road))
         if isinstance(track, LaneTrack) and route == self._route:
-            self._find_on(track, state)
+            self._locate_on_track(track, state)
             sample = track.path.sample_index(np.array([self.distance]))[0]
             on_lane = (road, state.lane) == (track.path.road[sample], track.path.lane[sample])
             on_lane = on_lane or abs(self._lateral_offset(track, state)) < _SEAM_OFFSET
@@ -96,7 +96,7 @@ class FollowedPath:
             self._track, self._route, self.path = track, route, driven_path(track.path)
             self.distance = float(track.distance_at_s(s)[0])
 
-    def _find_on(self, track: Track, state: ObjectState) -> None:
+    def _locate_on_track(self, track: Track, state: ObjectState) -> None:
         x, y, after = np.array([state.x]), np.array([state.y]), np.array([self.distance - _MAX_STEP_BACK])
         self.distance = float(track.nearest_distance(x, y, _ONE_ROW, after)[0])
 

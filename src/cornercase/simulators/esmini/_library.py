@@ -68,7 +68,7 @@ def _call_receiver(state: ctypes._Pointer[ObjectState], _: object) -> None:
 _RECEIVER_CALLBACK: Final = _OBJECT_CALLBACK(_call_receiver)
 
 
-def call_after_moves(lib: ctypes.CDLL, object_id: int, receiver: Callable[[ObjectState], None]) -> None:
+def register_move_callback(lib: ctypes.CDLL, object_id: int, receiver: Callable[[ObjectState], None]) -> None:
     """Let esmini call `receiver` in each step of this run, after esmini has moved an object.
 
     The receiver gets the state of the object. It must not raise an exception.
@@ -181,7 +181,7 @@ def read_route(lib: ctypes.CDLL, object_id: int) -> tuple[tuple[str, int, float]
     return tuple(points)
 
 
-def check_layout(lib: ctypes.CDLL, object_id: int) -> None:
+def check_state_layout(lib: ctypes.CDLL, object_id: int) -> None:
     """Raise `InputError` if the library does not store object states in the memory layout of esmini 3.6."""
     size = ctypes.sizeof(ObjectState)
     buffer = (ctypes.c_ubyte * (2 * size)).from_buffer_copy(bytes([_FILL_BYTE]) * (2 * size))

@@ -23,13 +23,13 @@ from cornercase.scenario._file import ScenarioFile
 from cornercase.simulators._base import Availability, Simulator, check_seed, check_settings
 from cornercase.simulators._driver_parameters import find_parameters_of_drivers
 from cornercase.simulators.builtin.actions._controller import create_file_driver
-from cornercase.simulators.esmini._drivable import check_drivable
 from cornercase.simulators.esmini._driven_entity import DrivenEntity, start_drivers
+from cornercase.simulators.esmini._driver_support import check_driver_support
 from cornercase.simulators.esmini._library import (
     NOT_FOUND_MESSAGE,
     PARAMETER_CALLBACK,
     ObjectState,
-    check_layout,
+    check_state_layout,
     encode_esmini_path,
     find_library_path,
     load_library,
@@ -151,7 +151,7 @@ class Esmini(Simulator):
 
     def check_supported(self, scenario: ScenarioFile) -> None:
         """Refuse left-handed axes, a road file that esmini does not find, or an entity that its driver cannot drive."""
-        if scenario.is_left_handed:
+        if scenario.has_left_handed_axes:
             raise InputError(
                 f"{scenario.path}: its description begins with 'CARLA:', so its axes are left-handed, which esmini does"
                 " not support; `cornercase convert` writes the scenario with right-handed axes."
@@ -169,7 +169,7 @@ class Esmini(Simulator):
         for entity, driver in self._drivers_of(scenario).items():
             if isinstance(driver, str):
                 create_file_driver(driver, str(scenario.path))
-            check_drivable(scenario, entity)
+            check_driver_support(scenario, entity)
 
     def check_runnable(self, concretes: Sequence[ConcreteScenario]) -> None:
         """Refuse parameters of drivers that the option `undriven` leaves out."""
@@ -220,7 +220,7 @@ class Esmini(Simulator):
         if rejected:
             return SimulationError(f"esmini does not take the parameter {rejected[0]}")
         if not self._layout_checked and lib.SE_GetNumberOfObjects() > 0:
-            check_layout(lib, lib.SE_GetId(0))
+            check_state_layout(lib, lib.SE_GetId(0))
             self._layout_checked = True
         log = _StateLog(lib)
         collides = log.record_state(0.0)
@@ -231,13 +231,13 @@ class Esmini(Simulator):
         except DriverError as failure:
             return failure.error
         try:
-            return self._step(lib, scenario, log, collides, driven)
+            return self._run_steps(lib, scenario, log, collides, driven)
         finally:
             for entity in driven:
                 entity.release()
                 self.notify(entity.limit_notices.values())
 
-    def _step(
+    def _run_steps(
         self, lib: ctypes.CDLL, scenario: ScenarioFile, log: _StateLog, collides: bool, driven: Sequence[DrivenEntity]
     ) -> Recording | SimulationError:
         """Simulate a scenario from its first state, which is recorded already, to its end; return its recording."""
@@ -259,7 +259,7 @@ class Esmini(Simulator):
             if lib.SE_GetQuitFlag() != 0:
                 break
             for entity in driven:
-                entity.check_step()
+                entity.raise_step_error()
         return log.make_recording(self._time_step, cut_off)
 
 

@@ -187,7 +187,7 @@ def _worker_main(connection: Connection, simulator_description: bytes, folder: P
     try:
         with convert_plugin_errors("A worker process", None, "as it began"):
             name, options = unpickle_simulator(simulator_description)
-            _require_known(name)
+            _require_simulator_registered(name)
             simulator = SIMULATORS.create(name, **options)
     except InputError as error:
         _send_message(connection, error)
@@ -203,7 +203,7 @@ def _worker_main(connection: Connection, simulator_description: bytes, folder: P
             _run_and_send(connection, simulator, concretes)
 
 
-def _require_known(name: str | type[Simulator]) -> None:
+def _require_simulator_registered(name: str | type[Simulator]) -> None:
     """Raise `InputError` if this worker process does not know the simulator; the message says why."""
     if isinstance(name, str) and (base := name.partition(":")[0]) not in SIMULATORS:
         raise InputError(

@@ -13,7 +13,7 @@ from typing import Any, Final
 from cornercase._common.errors import InputError, RunLostError, SimulationError, SimulatorError
 from cornercase._common.process.reaper import Reaper
 from cornercase._common.text.sanitize import quote_name
-from cornercase.drivers._description import user_driver_spec
+from cornercase.drivers._serialization import user_driver_spec
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators._base import Simulator
 from cornercase.simulators._remote import RemoteSimulator
@@ -75,7 +75,7 @@ class WorkerSimulator(RemoteSimulator):
                     if not worker.remaining and waiting:
                         worker.start_task(waiting.popleft(), concretes)
                 for worker in self._wait_for_workers():
-                    self._collect_answer(worker, waiting, done)
+                    self._handle_message(worker, waiting, done)
                 while n_yielded in done:
                     yield done.pop(n_yielded)
                     n_yielded += 1
@@ -116,7 +116,7 @@ class WorkerSimulator(RemoteSimulator):
         readable = wait([worker.connection for worker in busy], remaining)
         return [worker for worker in busy if worker.connection in readable or worker.deadline <= time.monotonic()]
 
-    def _collect_answer(self, worker: WorkerProcess, waiting: deque[WorkerTask], done: dict[int, Outcome]) -> None:
+    def _handle_message(self, worker: WorkerProcess, waiting: deque[WorkerTask], done: dict[int, Outcome]) -> None:
         task, remaining = worker.task, tuple(worker.remaining)
         try:
             answer = worker.receive()

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Final
 
 from cornercase._common.errors import InputError
-from cornercase._common.extras import describe_install
 from cornercase._common.io.files import atomic_write, read_file
+from cornercase._common.optional_packages import describe_install
 from cornercase._common.platform import find_program, user_cache_folder
 from cornercase.scenario import Value
 from cornercase.scenario._file import ScenarioFile

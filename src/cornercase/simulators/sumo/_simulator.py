@@ -10,8 +10,8 @@ from importlib.util import find_spec
 import numpy as np
 
 from cornercase._common.errors import InputError, SimulationError, suggest_name
-from cornercase._common.extras import describe_install
 from cornercase._common.io.support_table import Notice
+from cornercase._common.optional_packages import describe_install
 from cornercase._common.text.sanitize import remove_folders
 from cornercase._common.typing import FloatArray
 from cornercase.drivers import DRIVERS, Driver, Situation
@@ -128,7 +128,7 @@ class Sumo(Simulator):
             prepared = PreparedScenario.from_scenario(scenario)
             for entity in self._drivers:
                 scenario.require_entity(entity, "driven entity")
-            types = self._types_of_sumo_driven(scenario)
+            types = self._find_vehicle_types(scenario)
             self._require_known_parameters(scenario, types, concrete.values)
             try:
                 yield self._run_scenario(prepared, concrete, types)
@@ -147,7 +147,7 @@ class Sumo(Simulator):
         network = find_or_convert_network(prepared.scenario, self._network, concrete.values)
         with SumoCoupling(network, types, self._time_step, self._seed) as coupling:
             batch = self._make_batch(
-                prepared, concrete, {**self._drivers, **dict.fromkeys(types, _SumoDriver())}, coupling
+                prepared, concrete, {**self._drivers, **dict.fromkeys(types, _PlaceholderDriver())}, coupling
             )
             batch.run()
         self.notify(batch.remarks)
@@ -173,13 +173,13 @@ class Sumo(Simulator):
 
     def check_supported(self, scenario: ScenarioFile) -> None:
         """Refuse a scenario with an unknown driver, or with a sensor or vehicle for one of SUMO's own models."""
-        self._types_of_sumo_driven(scenario)
+        self._find_vehicle_types(scenario)
 
     def check_runnable(self, concretes: Sequence[ConcreteScenario]) -> None:
         """Refuse driver parameters of entities that SUMO itself drives."""
         for concrete in concretes:
             scenario = concrete.load_file()
-            self._require_known_parameters(scenario, self._types_of_sumo_driven(scenario), concrete.values)
+            self._require_known_parameters(scenario, self._find_vehicle_types(scenario), concrete.values)
 
     def _require_known_parameters(
         self, scenario: ScenarioFile, types: Mapping[str, str], values: Mapping[str, Value]
@@ -191,7 +191,7 @@ class Sumo(Simulator):
                     f" itself drives {entity} as '{types[entity]}'; leave it out, or give another driver."
                 )
 
-    def _types_of_sumo_driven(self, scenario: ScenarioFile) -> dict[str, str]:
+    def _find_vehicle_types(self, scenario: ScenarioFile) -> dict[str, str]:
         """Return the vehicle type of each entity that SUMO drives; refuse unknown drivers."""
         all_drivers = {**scenario.drivers, **self._drivers}
         for name, driver in all_drivers.items():
@@ -211,7 +211,7 @@ class Sumo(Simulator):
         }
 
 
-class _SumoDriver(Driver):
+class _PlaceholderDriver(Driver):
     """Placeholder driver for an entity that SUMO drives: it decides nothing, but takes control from the storyboard."""
 
     def acceleration(self, situation: Situation) -> FloatArray:

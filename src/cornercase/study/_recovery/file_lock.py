@@ -88,16 +88,16 @@ class DamagedFileLock:
             if is_unreachable_error(error):
                 with reraise_sqlite_errors(self._path):
                     raise
-        self._require_unchanged(self._read_file_states() == self._initial_states)
+        self._raise_if_changed(self._read_file_states() == self._initial_states)
 
     def require_unchanged(self) -> None:
         """Raise `InputError` if the file has changed since it was read: the changes would be lost with the file."""
         # Closing a handle would release SQLite's lock.
-        self._require_unchanged(
+        self._raise_if_changed(
             self._read_file_states() == self._initial_states
             and self._hash_files(self._open_handles) == self._initial_hashes
         )
-        self._require_unchanged(self._read_file_states() == self._initial_states)
+        self._raise_if_changed(self._read_file_states() == self._initial_states)
 
     def set_path(self, path: Path) -> None:
         """Set the new path of the damaged file after it was renamed."""
@@ -148,7 +148,7 @@ class DamagedFileLock:
                 digests.append(hashlib.file_digest(handles.enter_context(path.open("rb")), "sha256").digest())
         return digests
 
-    def _require_unchanged(self, is_unchanged: bool) -> None:
+    def _raise_if_changed(self, is_unchanged: bool) -> None:
         if is_unchanged:
             return
         state, initial = _FileState.from_path(self._path), self._initial_states[0]

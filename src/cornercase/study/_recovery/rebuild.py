@@ -13,8 +13,8 @@ from pathlib import Path
 from cornercase._common.errors import InputError
 from cornercase._common.text.sanitize import parse_json
 from cornercase.study._checksums import insert_rows, with_checksums
-from cornercase.study._connection import require_single_link
-from cornercase.study._damage import reraise_as_damage
+from cornercase.study._connection import require_single_hard_link
+from cornercase.study._damage import reraise_read_errors
 from cornercase.study._database import create_tables
 from cornercase.study._meta import StudyMeta
 from cornercase.study._recovery.recover_rows import RowsByKey, iter_intact_tables, recover_rows
@@ -50,15 +50,15 @@ def rebuild_study(damaged: Path, output: Path) -> RecoveredStudy:
     Scenarios that have to be run again are pending in the new study. `InputError` if the description of the study is
     lost.
     """
-    require_single_link(damaged)
+    require_single_hard_link(damaged)
     rows = recover_rows(damaged)
     tallies = _recover_checksum_totals(damaged, rows)
-    with reraise_as_damage(damaged):
+    with reraise_read_errors(damaged):
         try:
             meta = StudyMeta.from_json({key: parse_json(value) for key, value in rows["meta"].values()})
         except (LookupError, ValueError, TypeError, AttributeError, OverflowError):
             meta = None
-    if meta is None or tallies.get("meta", _checksum_totals("meta", rows["meta"])) != _checksum_totals(
+    if meta is None or tallies.get("meta", _compute_checksum_totals("meta", rows["meta"])) != _compute_checksum_totals(
         "meta", rows["meta"]
     ):
         raise InputError(
@@ -66,7 +66,7 @@ def rebuild_study(damaged: Path, output: Path) -> RecoveredStudy:
             " into another study."
         )
     lost = []
-    if any(tallies.get(name) != _checksum_totals(name, rows[name]) for name in _ANALYSIS_TABLES):
+    if any(tallies.get(name) != _compute_checksum_totals(name, rows[name]) for name in _ANALYSIS_TABLES):
         if_any = "" if set(_ANALYSIS_TABLES) <= set(tallies) else ", if it had any"
         lost.append(f"its clusters and its reduced set{if_any}; `analyze` and `reduce` make them again")
         for name in _ANALYSIS_TABLES:
@@ -76,7 +76,7 @@ def rebuild_study(damaged: Path, output: Path) -> RecoveredStudy:
     elif missing := tallies["notes"][0] - len(rows["notes"]):
         lost.append(f"{missing} notes on scenarios")
     rounds = _recover_rounds(rows, tallies)
-    to_rerun = _make_incomplete_pending(rows, meta, rounds)
+    to_rerun = _reset_incomplete_scenarios(rows, meta, rounds)
     with closing(sqlite3.connect(output)) as connection:
         create_tables(
             connection,
@@ -106,7 +106,7 @@ def _recover_checksum_totals(damaged: Path, rows_by_table: dict[str, RowsByKey])
     intact = set()
     for name, rows in iter_intact_tables(damaged):
         intact.add(name)
-        tally = _checksum_totals(name, rows)
+        tally = _compute_checksum_totals(name, rows)
         if TABLES[name].has_totals and tallies.setdefault(name, tally) == tally:
             rows_by_table[name] = rows
     for name in (name for name, definition in TABLES.items() if definition.has_totals and "tallies" in intact):
@@ -121,7 +121,7 @@ def _has_optional_table(meta: StudyMeta, table: str) -> bool:
     return {"against": len(meta.others) > 1, "results": meta.asynchronous, "elsewhere": bool(meta.elsewhere)}[table]
 
 
-def _checksum_totals(table: str, rows: RowsByKey) -> tuple[int, int]:
+def _compute_checksum_totals(table: str, rows: RowsByKey) -> tuple[int, int]:
     count = len(TABLES[table].columns)
     sums = [int(with_checksums(table, row)[count]) for row in rows.values()]
     return len(sums), reduce(xor, sums, 0)
@@ -135,7 +135,7 @@ def _recover_rounds(rows_by_table: dict[str, RowsByKey], checksum_totals: dict[s
     return {number: rounds.get(number, 0) for number in range(1, last + 1)}
 
 
-def _make_incomplete_pending(
+def _reset_incomplete_scenarios(
     rows_by_table: dict[str, RowsByKey], meta: StudyMeta, rounds: dict[int, int]
 ) -> tuple[int, ...]:
     """Make scenarios pending if a part of their results is lost; return their ids."""

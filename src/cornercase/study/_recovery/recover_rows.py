@@ -72,7 +72,7 @@ def open_pages(path: Path) -> Iterator[PageReader]:
 def recover_rows(path: Path) -> dict[str, RowsByKey]:
     """Return the intact rows of a study by table and key, in the order of each table."""
     # Rows that SQLite reads override others, which may be remains of deleted rows.
-    tables, order = _group_rows_by_key(chain(_scan_pages(path), _read_with_sqlite(path)))
+    tables, order = _group_rows_by_key(chain(_scan_pages(path), _iter_rows_with_sqlite(path)))
     return {name: dict(sorted(rows.items(), key=lambda item: order[name][item[0]])) for name, rows in tables.items()}
 
 
@@ -130,7 +130,7 @@ def _group_rows_by_key(stored_rows: Iterable[StoredRow]) -> tuple[dict[str, Rows
     return tables, order
 
 
-def _read_with_sqlite(path: Path) -> Iterator[StoredRow]:
+def _iter_rows_with_sqlite(path: Path) -> Iterator[StoredRow]:
     """Yield the rows that SQLite can read, from the beginning and from the end of each table."""
     with suppress(sqlite3.Error, UnicodeDecodeError), closing(open_connection(path)) as connection:
         connection.execute("PRAGMA trusted_schema = OFF")

@@ -54,22 +54,23 @@ def _describe_collisions(ran: Sequence[ScenarioPair]) -> str:
     new = [pair for pair in ran if pair.collides == (False, True)]
     lost = [pair for pair in ran if pair.collides == (True, False)]
     both = [pair for pair in ran if pair.collides == (True, True)]
-    of = f"of {_count(len(ran), 'scenario')} that ran with both"
+    of = f"of {_format_count(len(ran), 'scenario')} that ran with both"
     if not new and not lost:
         others = (
-            f"{len(both)} {_collide(len(both))} in both versions{_describe_faults(both, 1)}"
+            f"{len(both)} {_format_collide_verb(len(both))} in both versions{_describe_faults(both, 1)}"
             if both
             else "none collides"
         )
         return f"Collisions: none is new and none is gone; {of}, {others}."
     parts = [
-        f"{len(new) or 'none'} new{_name(new)}{_describe_faults(new, 1)}",
-        f"{len(lost) or 'none'} gone{_name(lost)}{_describe_faults(lost, 0)}",
+        f"{len(new) or 'none'} new{_list_pair_ids(new)}{_describe_faults(new, 1)}",
+        f"{len(lost) or 'none'} gone{_list_pair_ids(lost)}{_describe_faults(lost, 0)}",
     ]
-    return f"Collisions: {'; '.join(parts)}; {of}, {len(both) or 'none'} {_collide(len(both))} in both versions."
+    verb = _format_collide_verb(len(both))
+    return f"Collisions: {'; '.join(parts)}; {of}, {len(both) or 'none'} {verb} in both versions."
 
 
-def _name(pairs: Sequence[ScenarioPair]) -> str:
+def _list_pair_ids(pairs: Sequence[ScenarioPair]) -> str:
     n_more = len(pairs) - _MAX_SCENARIOS
     texts = [format_pair_ids(pair.ids) for pair in pairs[:_MAX_SCENARIOS]]
     return f" ({', '.join(texts)}{f' and {n_more} more' if n_more > 0 else ''})" if pairs else ""
@@ -115,8 +116,8 @@ def _describe_critical_share(comparison: Comparison, ran: Sequence[ScenarioPair]
     counts = [sum(both[side] for both in judged) for side in (0, 1)]
     why = "they do not stand for the space" if space is None else space.pairs_doubt
     return (
-        f"Critical: {counts[0]} before and {counts[1]} now, of {_count(len(judged), 'scenario')} that ran with both;"
-        f" there is no interval, as {why}."
+        f"Critical: {counts[0]} before and {counts[1]} now, of {_format_count(len(judged), 'scenario')} that ran with"
+        f" both; there is no interval, as {why}."
     )
 
 
@@ -133,14 +134,15 @@ def _describe_tests(comparison: Comparison) -> Iterator[str]:
     facts = [test for test in comparison.tests if test.about in ("collision", "critical") and test.differ != 0]
     for test in facts:
         claim = "more than chance" if test.corrected <= ALPHA else "that may be chance"
-        p = f"p = {test.p:.2g}, {test.corrected:.2g} after correction for {_count(len(comparison.tests), 'test')}"
+        n_tests = _format_count(len(comparison.tests), "test")
+        p = f"p = {test.p:.2g}, {test.corrected:.2g} after correction for {n_tests}"
         if test.method == CRITICAL_SETS_METHOD:
             yield f"Draws of both critical sets, whether their shares of the space are the same: {p}; {claim}."
             continue
         if test.differ is None:
             yield (
-                f"Fisher's exact test, whether {_share_text(test)} in both samples ({test.old} and {test.new}"
-                f" scenarios without partners): {p}; {claim}."
+                f"Fisher's exact test, whether {_describe_null_hypothesis(test)} in both samples ({test.old} and"
+                f" {test.new} scenarios without partners): {p}; {claim}."
             )
             continue
         came = round((test.differ + test.shift * test.old) / 2.0)
@@ -155,7 +157,7 @@ def _describe_tests(comparison: Comparison) -> Iterator[str]:
         if test.about not in ("collision", "critical") and test.differ != 0 and test.corrected <= ALPHA:
             yield (
                 f"{test.method} test of {test.about}: p = {test.p:.2g}, {test.corrected:.2g} after"
-                f" correction for {_count(len(comparison.tests), 'test')}; more than chance."
+                f" correction for {_format_count(len(comparison.tests), 'test')}; more than chance."
             )
     if comparison.is_deterministic and any(test.differ for test in facts):
         yield (
@@ -164,7 +166,7 @@ def _describe_tests(comparison: Comparison) -> Iterator[str]:
         )
 
 
-def _share_text(test: ChangeTest) -> str:
+def _describe_null_hypothesis(test: ChangeTest) -> str:
     return "as many are critical" if test.about == "critical" else "as many collide"
 
 
@@ -193,12 +195,12 @@ def _describe_kinds(comparison: Comparison) -> Iterator[str]:
 
 def _list_kinds(kinds: Sequence[ClusterChange], old: str) -> str:
     ordered = sorted(kinds, key=lambda kind: (-abs(kind.new - kind.old), kind.cluster))
-    texts = [f"“{kind.label}” {kind.old} → {kind.new}{_describe_present(kind)}" for kind in ordered[:_MAX_KINDS]]
+    texts = [f"“{kind.label}” {kind.old} → {kind.new}{_describe_new_endings(kind)}" for kind in ordered[:_MAX_KINDS]]
     more = len(ordered) - _MAX_KINDS
     return ", ".join(texts) + (f" and {more} more" if more > 0 else "")
 
 
-def _describe_present(kind: ClusterChange) -> str:
+def _describe_new_endings(kind: ClusterChange) -> str:
     """Return as text how the scenarios of a cluster end now, if some end in a new way and its name may be outdated."""
     if not kind.new or set(kind.new_outcomes) <= set(kind.old_outcomes):
         return ""
@@ -239,9 +241,9 @@ def describe_unpaired_scenarios(comparison: Comparison) -> Iterator[str]:
         )
 
 
-def _collide(number: int) -> str:
+def _format_collide_verb(number: int) -> str:
     return "collide" if number > 1 else "collides"
 
 
-def _count(number: int, noun: str) -> str:
+def _format_count(number: int, noun: str) -> str:
     return f"{number} {noun}{'' if number == 1 else 's'}"

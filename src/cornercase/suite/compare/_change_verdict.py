@@ -93,7 +93,7 @@ def find_findings(
     findings = list(_group_into_findings(counted, metrics)) if deterministic else []
     for test in tests:
         if test.corrected <= ALPHA and test.direction is not None and (not deterministic or test.differ is None):
-            findings += _finding_of_test(test, test.direction, counted, metrics, tolerances)
+            findings += _iter_test_findings(test, test.direction, counted, metrics, tolerances)
     worse, better = (
         tuple(change for change in findings if change.direction == direction) for direction in ("worse", "better")
     )
@@ -173,7 +173,7 @@ def _build_finding(
     return Finding(kind, about, direction, ids, n_opposite, largest, unit, test)
 
 
-def _finding_of_test(
+def _iter_test_findings(
     test: ChangeTest,
     direction: ChangeDirection,
     changes: Sequence[PairChange],

@@ -14,10 +14,10 @@ from cornercase._common.errors import InputError
 from cornercase._common.validation import check_str_sequence
 from cornercase.clustering import read_analyses
 from cornercase.clustering._assign import assign_to_clusters
-from cornercase.clustering._headline import find_headline_aspect
+from cornercase.clustering._headline_aspect import find_headline_aspect
 from cornercase.drivers import DRIVERS
-from cornercase.drivers._description import driver_command_option, format_driver
-from cornercase.evidence import SetDifference
+from cornercase.drivers._serialization import driver_command_option, format_driver
+from cornercase.evidence import CriticalSetDifference
 from cornercase.metrics import Metric
 from cornercase.simulators import SIMULATORS
 from cornercase.study import StudyFile, StudyMeta
@@ -35,11 +35,11 @@ from cornercase.suite.compare._comparison import (
     ScoreChanges,
 )
 from cornercase.suite.compare._critical_region_change import estimate_space_change
-from cornercase.suite.compare._match import (
-    StudySide,
+from cornercase.suite.compare._match_scenarios import (
+    ComparedStudy,
     choose_compared_metrics,
+    count_unpaired_scenarios,
     criticality_metrics,
-    describe_unpaired,
     match_pairs,
     space_filling_scores,
 )
@@ -131,13 +131,13 @@ def compare(
                     f"{before.path} and {after.path}: define the metric '{name}' differently; explore one again."
                 )
         limits = resolve_tolerances(metric_by_name, tolerances)
-        sides = [StudySide.from_study(study, measured, judge_study(study)) for study in (before, after)]
+        sides = [ComparedStudy.from_study(study, measured, judge_study(study)) for study in (before, after)]
         pairs = match_pairs(sides[0], sides[1], compared)
         deterministic = all(_is_deterministic(study.meta) for study in (before, after))
         compared_metrics = {name: metric_by_name[name] for name in compared}
         space = estimate_space_change(sides[0], sides[1], pairs)
         sets = None if space is None else space.sets
-        tests = _run_tests(sides[0], sides[1], pairs, compared_metrics, deterministic, sets)
+        tests = _run_significance_tests(sides[0], sides[1], pairs, compared_metrics, deterministic, sets)
         changed, reason = _decide_whether_changed(pairs, tests, deterministic)
         worse, better, within = find_findings(pairs, tests, metric_by_name, limits, deterministic)
         clusters, main_aspect = _count_cluster_changes(before, after, pairs)
@@ -160,7 +160,7 @@ def compare(
             is_deterministic=deterministic,
             pairs=pairs,
             n_unmatched=(len(sides[0].rows) - len(pairs), len(sides[1].rows) - len(pairs)),
-            unpaired=describe_unpaired(sides[0], sides[1], pairs),
+            unpaired=count_unpaired_scenarios(sides[0], sides[1], pairs),
             same_search=(before.meta.optimizer, before.meta.seed) == (after.meta.optimizer, after.meta.seed),
             main_aspect=main_aspect,
             scores=tuple(
@@ -175,7 +175,7 @@ def compare(
             ),
             clusters=clusters,
             space=space,
-            examples=choose_examples(pairs, compared_metrics, _objective_metric(before.meta, compared)),
+            examples=choose_examples(pairs, compared_metrics, _sole_criticality_metric(before.meta, compared)),
             metrics=metric_by_name,
             critical=critical,
         )
@@ -191,7 +191,7 @@ def _require_complete_suite(study: StudyFile) -> None:
         )
 
 
-def _objective_metric(meta: StudyMeta, metrics: Sequence[str]) -> str:
+def _sole_criticality_metric(meta: StudyMeta, metrics: Sequence[str]) -> str:
     """Return the metric that alone defines criticality; empty if several metrics do, or if it is not compared."""
     return "" if meta.weights or meta.pareto or meta.metrics[0] not in metrics else meta.metrics[0]
 
@@ -217,13 +217,13 @@ def _is_deterministic(meta: StudyMeta) -> bool:
     return declared is not False and bool(observed) if observed is not None else is_own_code and declared is True
 
 
-def _run_tests(
-    old: StudySide,
-    new: StudySide,
+def _run_significance_tests(
+    old: ComparedStudy,
+    new: ComparedStudy,
     pairs: Sequence[ScenarioPair],
     metrics: Mapping[str, Metric],
     deterministic: bool,
-    sets: SetDifference | None,
+    sets: CriticalSetDifference | None,
 ) -> tuple[ChangeTest, ...]:
     """Run all significance tests, and correct the p-values for the number of tests.
 

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 from cornercase._common.text.notebook_html import render_html_table
-from cornercase.evidence import Estimate, SetDifference
+from cornercase.evidence import CriticalSetDifference, Estimate
 from cornercase.metrics import Metric
 from cornercase.scenario import Value
 from cornercase.suite._verdict import Verdict
@@ -381,7 +381,7 @@ class SpaceChange:
         estimated from the pairs that `pairs` counts; None if there are fewer than 20.
     pairs_doubt : str
         Why `gained` and `lost` are None; empty if they are not.
-    sets : SetDifference or None
+    sets : CriticalSetDifference or None
         Estimated change of the critical set, from all scenarios of both studies; None if no interval can be computed.
     sets_doubt : str
         Why `sets` is None; empty if it is not.
@@ -407,7 +407,7 @@ class SpaceChange:
     gained: Estimate | None
     lost: Estimate | None
     pairs_doubt: str
-    sets: SetDifference | None
+    sets: CriticalSetDifference | None
     sets_doubt: str
     parameters: tuple[str, ...]
     units: tuple[str, ...]

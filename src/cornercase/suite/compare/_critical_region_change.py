@@ -7,19 +7,21 @@ import numpy as np
 from cornercase._common.clopper_pearson import clopper_pearson_interval
 from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray
-from cornercase.evidence import Estimate, SetDifference
+from cornercase.evidence import CriticalSetDifference, Estimate
 from cornercase.evidence._proportions import proportion_interval
 from cornercase.exploration._study_critical_set import estimate_critical_set
 from cornercase.study import StudyFile
 from cornercase.suite.compare._comparison import ScenarioPair, SpaceChange
-from cornercase.suite.compare._match import StudySide
+from cornercase.suite.compare._match_scenarios import ComparedStudy
 from cornercase.suite.compare._significance import MIN_SAMPLE_SIZE
 
 # Seed for both studies.
 _DRAW_SEED = 0
 
 
-def estimate_space_change(old: StudySide, new: StudySide, pairs: tuple[ScenarioPair, ...]) -> SpaceChange | None:
+def estimate_space_change(
+    old: ComparedStudy, new: ComparedStudy, pairs: tuple[ScenarioPair, ...]
+) -> SpaceChange | None:
     """Estimate how the critical part of the space changed; None without a threshold, or if a study was not explored.
 
     An optimizer prefers critical scenarios, so its choices say nothing about fractions of the space. Only scenarios
@@ -46,9 +48,9 @@ def estimate_space_change(old: StudySide, new: StudySide, pairs: tuple[ScenarioP
         reason = ""
         gained = proportion_interval(int((critical[:, 1] & ~critical[:, 0]).sum()), len(independent))
         lost = proportion_interval(int((critical[:, 0] & ~critical[:, 1]).sum()), len(independent))
-        shares = _shares_of(critical[:, 0], critical[:, 1])
+        shares = _estimate_critical_shares(critical[:, 0], critical[:, 1])
         counts = len(independent), len(independent)
-        change = _difference(
+        change = _estimate_difference(
             (int((critical[:, 1] & ~critical[:, 0]).sum()), len(independent)),
             (int((critical[:, 0] & ~critical[:, 1]).sum()), len(independent)),
         )
@@ -58,8 +60,10 @@ def estimate_space_change(old: StudySide, new: StudySide, pairs: tuple[ScenarioP
             for side in (old, new)
         )
         if min(len(old_alone), len(new_alone)) >= MIN_SAMPLE_SIZE:
-            shares, counts = _shares_of(old_alone, new_alone), (len(old_alone), len(new_alone))
-            change = _difference((int(new_alone.sum()), len(new_alone)), (int(old_alone.sum()), len(old_alone)))
+            shares, counts = _estimate_critical_shares(old_alone, new_alone), (len(old_alone), len(new_alone))
+            change = _estimate_difference(
+                (int(new_alone.sum()), len(new_alone)), (int(old_alone.sum()), len(old_alone))
+            )
     if len(pairs) == len(old.rows) == len(new.rows) and all(pair.run == "the same" for pair in pairs):
         sets, sets_reason = None, "both studies hold the same scenarios with the same results"
     else:
@@ -69,11 +73,11 @@ def estimate_space_change(old: StudySide, new: StudySide, pairs: tuple[ScenarioP
     return SpaceChange(len(independent), gained, lost, reason, sets, sets_reason, names, units, shares, change, counts)
 
 
-def _shares_of(old: BoolArray, new: BoolArray) -> tuple[Estimate, Estimate]:
+def _estimate_critical_shares(old: BoolArray, new: BoolArray) -> tuple[Estimate, Estimate]:
     return proportion_interval(int(old.sum()), len(old)), proportion_interval(int(new.sum()), len(new))
 
 
-def _difference(more: tuple[int, int], less: tuple[int, int]) -> Estimate:
+def _estimate_difference(more: tuple[int, int], less: tuple[int, int]) -> Estimate:
     """Estimate `more` minus `less`, two proportions that are given as hits and draws, with a 90 % interval.
 
     The interval combines the 95 % Clopper-Pearson intervals of both proportions (Bonferroni), so it also holds if the
@@ -83,7 +87,7 @@ def _difference(more: tuple[int, int], less: tuple[int, int]) -> Estimate:
     return Estimate(more[0] / more[1] - less[0] / less[1], low - other_high, high - other_low)
 
 
-def _compare_critical_sets(old: StudyFile, new: StudyFile) -> tuple[SetDifference | None, str]:
+def _compare_critical_sets(old: StudyFile, new: StudyFile) -> tuple[CriticalSetDifference | None, str]:
     sets = []
     for study in (old, new):
         try:
@@ -98,4 +102,4 @@ def _compare_critical_sets(old: StudyFile, new: StudyFile) -> tuple[SetDifferenc
         if not (critical_set.has_both_classes or critical_set.is_exhausted):
             return None, f"all scenarios of {study.path.name} are critical, so there is no boundary"
         sets.append(critical_set)
-    return SetDifference.from_critical_sets(*sets), ""
+    return CriticalSetDifference.from_critical_sets(*sets), ""

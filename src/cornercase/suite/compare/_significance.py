@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from cornercase._common.typing import BoolArray, FloatArray
-from cornercase.evidence import SetDifference
+from cornercase.evidence import CriticalSetDifference
 from cornercase.metrics import Metric
 from cornercase.suite._verdict import Verdict
 from cornercase.suite.compare._comparison import CRITICAL_SETS_METHOD, ChangeDirection, ChangeTest, ScenarioPair
@@ -126,7 +126,7 @@ def test_unpaired_samples(
     scores: tuple[dict[str, FloatArray], dict[str, FloatArray]],
     facts: tuple[dict[str, BoolArray], dict[str, BoolArray]],
     metrics: Mapping[str, Metric],
-    sets: SetDifference | None,
+    sets: CriticalSetDifference | None,
 ) -> list[ChangeTest]:
     """Test whether scores and facts differ between two samples of the space, one per study, without pairs.
 

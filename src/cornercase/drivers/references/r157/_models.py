@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from cornercase._common.typing import BoolArray, FloatArray
-from cornercase.drivers.references.r157._fsm import (
+from cornercase.drivers.references.r157._fuzzy_metrics import (
     COMFORTABLE_DECELERATION,
     HARD_DECELERATION,
     OTHER_DECELERATION,
@@ -161,7 +161,7 @@ def time_to_collision(motion: RelativeMotion) -> FloatArray:
     return np.where(closes, motion.gap / np.where(closes, closing, 1.0), np.inf)
 
 
-def min_cut_in_time(closing_speed: float) -> float:
+def min_avoidable_time_to_collision(closing_speed: float) -> float:
     """Return the smallest time to collision in s, when a vehicle cuts in, at which a collision has to be avoided.
 
     Δv / (2 · 6 m/s²) + 0.35 s, with Δv = `closing_speed` in m/s. UN Regulation No. 157, 5.2.5.2; (EU) 2022/1426 has the

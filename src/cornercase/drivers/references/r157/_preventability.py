@@ -86,7 +86,7 @@ def assess_preventability(
             return ReferenceOutcome(None)
     if collision is None:
         return ReferenceOutcome(False)
-    is_over = name == "cc-human" and _is_cut_in_over_before(run, ego, collision)
+    is_over = name == "cc-human" and _had_harmless_cut_in(run, ego, collision)
     return ReferenceOutcome(not is_over, float(collision.time))
 
 
@@ -128,13 +128,13 @@ def _is_covered_by_regulation(recording: Recording, ego: str, other: str, time: 
     return not (np.abs(angle) > _MAX_ANGLE).any()
 
 
-def _is_cut_in_over_before(run: Recording, ego: str, hit_collision: Collision) -> bool:
+def _had_harmless_cut_in(run: Recording, ego: str, hit_collision: Collision) -> bool:
     """Return whether the vehicle that the ego hits cut in earlier without danger: the collision does not count then."""
     i, other_rows = run.entity_index(ego), [k for k, name in enumerate(run.names) if name != ego]
     valid = np.isfinite(run.x[i]) & (run.time <= hit_collision.time + _TIME_TOLERANCE)
-    situation = _situations_over_time(run, i, other_rows, valid)
+    situation = _stack_instants(run, i, other_rows, valid)
     tracker = RelativeMotionTracker(int(valid.sum()), len(other_rows))
-    view = tracker.relative_motion(situation, run.acceleration[i, valid])
+    view = tracker.track_relative_motion(situation, run.acceleration[i, valid])
     k = other_rows.index(run.entity_index(_collision_partner(hit_collision, ego)))
     in_corridor, is_next_to = view.lateral_gap[:, k] < 0.0, view.lateral_gap[:, k] >= 0.0
     cuts_in = np.flatnonzero(in_corridor[1:] & is_next_to[:-1]) + 1
@@ -143,7 +143,7 @@ def _is_cut_in_over_before(run: Recording, ego: str, hit_collision: Collision) -
     return bool(time_to_collision(view)[cuts_in[-1], k] > URGENT_TIME_TO_COLLISION)
 
 
-def _situations_over_time(run: Recording, ego_row: int, other_rows: list[int], is_present: BoolArray) -> Situation:
+def _stack_instants(run: Recording, ego_row: int, other_rows: list[int], is_present: BoolArray) -> Situation:
     """Return the instants of a recording as parallel scenarios of one situation; the path is the path driven."""
     x, y, heading = run.x[ego_row, is_present], run.y[ego_row, is_present], run.heading[ego_row, is_present]
     zeros = np.zeros(len(x))

@@ -82,7 +82,7 @@ class ReferenceDriver(VariedDriver):
     def acceleration(self, situation: Situation) -> FloatArray:
         """Return the acceleration along the path in m/s², shape (N,); 0 in scenarios that are not active."""
         s, dt = situation, situation.time_step
-        assessment = self._reference.assess(self._surroundings.relative_motion(s, self._acceleration))
+        assessment = self._reference.assess(self._surroundings.track_relative_motion(s, self._acceleration))
         is_unsafe = assessment.unsafe & s.active[:, None]
         deceleration = np.where(is_unsafe, assessment.deceleration, 0.0).max(axis=1, initial=0.0)
         unsafe = is_unsafe.any(axis=1)

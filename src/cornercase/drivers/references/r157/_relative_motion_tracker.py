@@ -29,7 +29,7 @@ class RelativeMotionTracker:
         self._x, self._y = np.full((2, scenarios, others), np.nan)
         self._was_seen, self._was_next_to, self._was_ahead = np.zeros((3, scenarios, others), dtype=np.bool_)
 
-    def relative_motion(self, situation: Situation, acceleration: FloatArray) -> RelativeMotion:
+    def track_relative_motion(self, situation: Situation, acceleration: FloatArray) -> RelativeMotion:
         """Return the relative motion in this time step, shape (N, A), and update the history of active scenarios.
 
         Gaps are NaN if an entity does not exist, or is hidden behind a vehicle in the middle of the corridor.

@@ -116,10 +116,10 @@ def advance(vehicles, n, which, limit, begin, duration, time_step):
     value, integral = state[which], 0.0
     if older > 0.0:
         request = requests[which, _find_request(state, size, steps + 1)]
-        value, integral = _follow(value, request, lag, max_rate, limit, older)
+        value, integral = _approach_request(value, request, lag, max_rate, limit, older)
     if duration > older:
         request = requests[which, _find_request(state, size, steps)]
-        value, more = _follow(value, request, lag, max_rate, limit, duration - older)
+        value, more = _approach_request(value, request, lag, max_rate, limit, duration - older)
         integral += more
     state[which] = value
     return integral
@@ -133,7 +133,7 @@ def _find_request(state, size, steps):
 
 
 @plain_kernel
-def _follow(value, request, lag, max_rate, limit, duration):
+def _approach_request(value, request, lag, max_rate, limit, duration):
     """Return the value of an actuator after a duration, and its integral: a ramp, an exponential, then a constant."""
     value, target = min(max(value, -limit), limit), min(max(request, -limit), limit)
     left, integral = duration, 0.0

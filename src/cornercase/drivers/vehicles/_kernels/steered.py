@@ -11,14 +11,16 @@ from typing import Final
 from numba import types
 
 from cornercase._common.numba.kernel import kernel
-from cornercase._common.numba.late import LateKernels
+from cornercase._common.numba.late_kernels import LateKernels
 from cornercase._common.numba.pointers import call_for_float
 from cornercase._common.numba.tuple_pointers import reference_to
 from cornercase.drivers.vehicles._kernels.actuators import KINEMATIC, LEFT_X, LEFT_Y, SINGLE_TRACK, SPEED
-from cornercase.drivers.vehicles._kernels.rolling import X, Y, roll_vehicle
-from cornercase.drivers.vehicles._kernels.sliding import slide_vehicle
+from cornercase.drivers.vehicles._kernels.kinematic_step import X, Y, move_kinematic_vehicle
+from cornercase.drivers.vehicles._kernels.single_track_step import move_single_track_vehicle
 
-VEHICLE_KERNELS: Final = LateKernels({KINEMATIC: roll_vehicle, SINGLE_TRACK: slide_vehicle}, types.float64)
+VEHICLE_KERNELS: Final = LateKernels(
+    {KINEMATIC: move_kinematic_vehicle, SINGLE_TRACK: move_single_track_vehicle}, types.float64
+)
 """Kernels that move a vehicle, by kind of vehicle model."""
 MOTION_INPUTS: Final = (types.int64, types.float64[::1], *4 * [types.float64])
 """Types of the arguments of these kernels after the vehicles."""
@@ -38,9 +40,9 @@ def move_steered_vehicle(kind, kernels, vehicles, row, motion, request, steering
         state[SPEED] = math.nan
     arguments = (vehicles, row, motion, request, steering, friction, time_step)
     if kind == KINEMATIC:
-        speed = call_for_float(roll_vehicle, kernels[KINEMATIC], arguments)
+        speed = call_for_float(move_kinematic_vehicle, kernels[KINEMATIC], arguments)
     else:
-        speed = call_for_float(slide_vehicle, kernels[SINGLE_TRACK], arguments)
+        speed = call_for_float(move_single_track_vehicle, kernels[SINGLE_TRACK], arguments)
     state[LEFT_X], state[LEFT_Y] = motion[X], motion[Y]
     return speed
 

@@ -14,7 +14,7 @@ from cornercase._common.plugin_errors import is_built_in
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.drivers import DrivenPath, Driver, PlanarMotion, Situation
 from cornercase.drivers._attached_driver import AttachedDriver, Decision, DriverError
-from cornercase.drivers._function import Start
+from cornercase.drivers._driving_function import Start
 from cornercase.drivers._lanes import driven_path
 from cornercase.drivers._resolve import create_driver_named_in_file
 from cornercase.drivers._view import FARTHEST_ON_TRAJECTORY
@@ -60,7 +60,7 @@ class DriverControl:
         self._others_name = tuple(other.name for other in self._others)
         self._paths: dict[int, DrivenPath] = {}
         self._sampled_versions: dict[int, int] = {}
-        self._failure: DriverError | None = None
+        self._to_driver_error: DriverError | None = None
         if self.in_fleet:
             self._join_fleet()
 
@@ -76,14 +76,14 @@ class DriverControl:
             self.driver = self.attached_driver.driver
         except DriverError as failure:
             # The fleet needs a started driver.
-            self._failure = failure
+            self._to_driver_error = failure
             built_in = next(base for base in type(driver).__mro__ if is_built_in(base) and issubclass(base, Driver))
             built_in.start(driver, self._world.scenarios, len(self._others))
 
     def reset_driver(self) -> None:
         """Reset the driver when the batch starts; raises `DriverError` if a user's driver fails."""
-        if self._failure is not None:
-            raise self._failure
+        if self._to_driver_error is not None:
+            raise self._to_driver_error
         if not self.in_fleet:
             self.attached_driver.start(self._make_start())
 
@@ -123,9 +123,9 @@ class DriverControl:
         for k, track in enumerate([*world.tracks[e]]):
             rows = active & (track_numbers == k)
             if any_true(rows) and not (isinstance(track, Trajectory) and track.times is not None):
-                self._apply(self.attached_driver.step(*self._make_situation(k, track, dt, rows)), rows)
+                self._apply_decision(self.attached_driver.step(*self._make_situation(k, track, dt, rows)), rows)
 
-    def _apply(self, decision: Decision, rows: BoolArray) -> None:
+    def _apply_decision(self, decision: Decision, rows: BoolArray) -> None:
         """Move the entity as the driver has decided, in the scenarios of a mask."""
         world, e, motion = self._world, self.entity, decision.motion
         for n, failure in decision.failures.items():
@@ -193,11 +193,11 @@ class DriverControl:
                 self._paths[track_number] = driven_path(track.path)
         elif isinstance(track, Trajectory) and self._sampled_versions.get(track_number) != track.version:
             # A restarted trajectory may have another shape.
-            path = sample_trajectory(track, self._reach_along(track_number))
+            path = sample_trajectory(track, self._estimate_reach_along(track_number))
             self._paths[track_number], self._sampled_versions[track_number] = path, track.version
         return self._paths[track_number]
 
-    def _reach_along(self, track_number: int) -> float:
+    def _estimate_reach_along(self, track_number: int) -> float:
         """Return the distance in m along a track that the entity can reach until the end of the run."""
         world, max_speed = self._world, self._world.entities[self.entity].max_speed
         begins = world.distance[self.entity][world.track[self.entity] == track_number]

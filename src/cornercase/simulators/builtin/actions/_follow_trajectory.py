@@ -68,7 +68,7 @@ class FollowTrajectoryAction(CompiledAction):
         if self._track is None:
             self._track = track
         else:
-            self._track.copy_rows_from(track, where)
+            self._track.copy_scenarios_from(track, where)
             track = self._track
         world.present[e] |= where
         follow_track(world, e, track, self._skip, where)

@@ -14,14 +14,14 @@ from cornercase.scenario._scope import Scope
 from cornercase.simulators.builtin.actions._action import Action, CompiledAction
 from cornercase.simulators.builtin.actions._longitudinal import read_target, require_child
 from cornercase.simulators.builtin.kernels._action_table import DYNAMICS_SHAPES, LANE_CHANGE_ACTION, LANE_OFFSET_ACTION
-from cornercase.simulators.builtin.paths._dynamics import (
+from cornercase.simulators.builtin.paths._positions import read_entity_index, shift_lane
+from cornercase.simulators.builtin.paths._transition_dynamics import (
     TransitionDynamics,
     check_dynamics_shape,
     duration_at_peak_acceleration,
 )
-from cornercase.simulators.builtin.paths._positions import read_entity_index, shift_lane
 from cornercase.simulators.builtin.world._entity_distances import offset_of_entity
-from cornercase.simulators.builtin.world._lane_following import attach_to_lane, change_lane
+from cornercase.simulators.builtin.world._lane_following import attach_to_lane, switch_to_lane_track
 from cornercase.simulators.builtin.world._road_position import is_heading_along_road, road_pose
 from cornercase.simulators.builtin.world._track_motion import update_pose_on_track
 from cornercase.simulators.builtin.world._world import LATERAL, World
@@ -58,7 +58,7 @@ class LaneChangeAction(CompiledAction):
             world.fail(where, f"{world.names[e]} cannot change lanes, as there are no roads")
             return
         lane = self._target_lanes(world)
-        exists = change_lane(world, e, lane, where)
+        exists = switch_to_lane_track(world, e, lane, where)
         if not exists[where].all():
             # Ends in its own lane, as in esmini (which jumps sideways first).
             self._keep_own_lane(world, where & ~exists)
@@ -84,7 +84,7 @@ class LaneChangeAction(CompiledAction):
         e, own_lane = self._entity, road_pose(world, self._entity).road_coordinates()[1]
         why = f"{world.names[e]} is to change to a lane that does not exist, and stays in its own lane"
         world.add_notice(self._location, "<LaneChangeAction>", why, where)
-        stays = change_lane(world, e, own_lane, where)
+        stays = switch_to_lane_track(world, e, own_lane, where)
         world.fail(where & ~stays, f"{world.names[e]} cannot change lanes, as it is in none ({self._location})")
 
     def _target_lanes(self, world: World) -> IntArray:

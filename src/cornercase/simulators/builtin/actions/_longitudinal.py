@@ -13,8 +13,8 @@ from cornercase.simulators.builtin.actions._action import CompiledAction
 from cornercase.simulators.builtin.kernels._action_table import DISTANCE_ACTION, SPEED_ACTION
 from cornercase.simulators.builtin.kernels._distances import FREE_SPACE, LONGITUDINAL_DISTANCE
 from cornercase.simulators.builtin.kernels._synchronize import DISTANCE_TOLERANCE
-from cornercase.simulators.builtin.paths._dynamics import TransitionDynamics
 from cornercase.simulators.builtin.paths._positions import read_entity_index
+from cornercase.simulators.builtin.paths._transition_dynamics import TransitionDynamics
 from cornercase.simulators.builtin.world._entity_distances import distance_along_roads
 from cornercase.simulators.builtin.world._road_position import distance_ahead_on_road, road_pose
 from cornercase.simulators.builtin.world._track_motion import shift_along_track

@@ -71,7 +71,7 @@ class SpeedProfileAction(Action):
         self._speeds = [scope.read_numbers(limit, "speed") for limit in entries]
         self._durations = [scope.read_numbers(limit, "time", -1.0) for limit in entries]
         if len(np.unique(np.abs(self._durations[0]) < _TINY)) > 1:
-            raise BatchSplitError(scope.origin_parameters(entries[0].get("time", "")))
+            raise BatchSplitError(scope.find_origin_parameters(entries[0].get("time", "")))
         self._profile_index = np.full(n, -1)
         self._profiles: list[list[ProfilePhase]] = []
 

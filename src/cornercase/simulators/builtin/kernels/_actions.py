@@ -12,7 +12,7 @@ import numpy as np
 from numba import types
 
 from cornercase._common.numba.kernel import kernel
-from cornercase._common.numba.late import LateKernels
+from cornercase._common.numba.late_kernels import LateKernels
 from cornercase._common.numba.pointers import call_for_int
 from cornercase._common.numba.tuple_pointers import reference_to
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
@@ -101,7 +101,7 @@ class SavedState(NamedTuple):
 
 
 @kernel(error_model="numpy")
-def alloc_saved(n_actions):
+def alloc_saved_state(n_actions):
     """Allocate memory for the state that is saved before each action of a scenario."""
     floats, flag = np.empty((n_actions, len(_LATERAL_ACTION_ROWS) + 1)), np.empty(n_actions, dtype=np.bool_)
     running, memory = np.empty(n_actions + 1, dtype=np.int64), np.empty((n_actions, N_SAVED))
@@ -129,11 +129,11 @@ def apply_actions(scene, tracks, roads, actions, saved, n, dt):
     i = 0
     while saved.running[i] >= 0:
         j = saved.running[i]
-        _save(scene, actions, saved, n, j)
+        _save_state_before_action(scene, actions, saved, n, j)
         outcome = apply_action(scene, tracks, roads, actions, n, j, dt)
         if outcome != ACTION_APPLIED:
             while i >= 0:
-                _restore(scene, actions, saved, n, saved.running[i])
+                _undo_action(scene, actions, saved, n, saved.running[i])
                 i -= 1
             return outcome
         i += 1
@@ -160,11 +160,11 @@ def apply_action(scene, tracks, roads, actions, n, j, dt):
 
 
 @_inlined_kernel
-def _save(scene, actions, saved, n, j):
+def _save_state_before_action(scene, actions, saved, n, j):
     state, e, action_type, master = scene.floats[n], actions.options[j, 1], actions.options[j, 0], actions.options[j, 2]
     if action_type == PYTHON_ACTION:
         return
-    saved.flag[j] = scene.flags[n, _flag_row(action_type), e]
+    saved.flag[j] = scene.flags[n, _flag_set_by_action(action_type), e]
     # Loops of a fixed length are fastest.
     if action_type == TRAJECTORY_ACTION:
         for k in range(len(_TRAJECTORY_ACTION_ROWS)):
@@ -195,16 +195,16 @@ def _is_speed_controlling(action_type):
 
 
 @_inlined_kernel
-def _flag_row(action_type):
+def _flag_set_by_action(action_type):
     return DECIDED if _is_speed_controlling(action_type) else MOVED
 
 
 @_kernel
-def _restore(scene, actions, saved, n, j):
+def _undo_action(scene, actions, saved, n, j):
     state, e, action_type, master = scene.floats[n], actions.options[j, 1], actions.options[j, 0], actions.options[j, 2]
     if action_type == PYTHON_ACTION:
         return
-    scene.flags[n, _flag_row(action_type), e] = saved.flag[j]
+    scene.flags[n, _flag_set_by_action(action_type), e] = saved.flag[j]
     if action_type == TRAJECTORY_ACTION:
         for k in range(len(_TRAJECTORY_ACTION_ROWS)):
             state[_TRAJECTORY_ACTION_ROWS[k], e] = saved.floats[j, k]
@@ -437,14 +437,16 @@ ACTION_KERNELS: Final = LateKernels(
 """Kernels of the less frequent types of actions, which are compiled only when needed."""
 
 
-def link_actions(scene: SimulationState, tracks: TrackTable, roads: tuple[object, ...], actions: ActionTable) -> None:
+def compile_action_kernels(
+    scene: SimulationState, tracks: TrackTable, roads: tuple[object, ...], actions: ActionTable
+) -> None:
     """Compile the kernels that the actions in a table need; call this before compiled code applies actions."""
     kinds = types.int64, types.int64, types.float64
     ACTION_KERNELS.link(actions.options[:, 0].tolist(), scene, tracks, roads, actions, *kinds)
 
 
 @kernel(interpreted_seconds=lambda *arguments: 5e-5 * arguments[4].size, error_model="numpy")
-def apply_action_in(scene, tracks, roads, actions, scenarios, j, dt):
+def apply_action_in_scenarios(scene, tracks, roads, actions, scenarios, j, dt):
     """Apply an action for one time step in K scenarios, and return the outcomes, shape (K,)."""
     outcomes = np.empty(scenarios.size, dtype=np.int64)
     tables = reference_to(scene), reference_to(tracks), reference_to(roads), reference_to(actions)

@@ -13,7 +13,7 @@ from numba import types
 
 from cornercase._common.numba.angles import wrap_angle
 from cornercase._common.numba.kernel import kernel
-from cornercase._common.numba.late import LateKernels
+from cornercase._common.numba.late_kernels import LateKernels
 from cornercase._common.numba.pointers import call_for_bool
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.simulators.builtin.kernels._box_overlap import entities_overlap
@@ -282,11 +282,11 @@ def leaf_holds(scene, table, n, leaf):
         # The overlap with the lower row as first entity was computed when the last frame was recorded.
         other = table.codes[leaf, 2]
         return scene.overlaps[n, e, other] if e < other else entities_overlap(scene, n, e, other)
-    return call_for_bool(_remaining_leaf_holds, table.kernels[0], (scene, table, n, leaf))
+    return call_for_bool(_infrequent_leaf_holds, table.kernels[0], (scene, table, n, leaf))
 
 
 @_kernel
-def _remaining_leaf_holds(scene, table, n, leaf):
+def _infrequent_leaf_holds(scene, table, n, leaf):
     """Return whether a leaf condition of one of the less frequent kinds holds; its entity must be present."""
     kind, e, other = table.codes[leaf, 0], table.codes[leaf, 1], table.codes[leaf, 2]
     rule, option, values = table.codes[leaf, 3], table.codes[leaf, 4], table.values[n, leaf]
@@ -331,7 +331,7 @@ def _remaining_leaf_holds(scene, table, n, leaf):
     return gap / closing >= 0.0 and _compare(rule, gap / closing, values[0])
 
 
-_REMAINING_KERNEL: Final = LateKernels({0: _remaining_leaf_holds}, types.boolean)
+_REMAINING_KERNEL: Final = LateKernels({0: _infrequent_leaf_holds}, types.boolean)
 _FREQUENT_KINDS: Final = (
     CONSTANT_CONDITION,
     TIME_CONDITION,
@@ -342,7 +342,7 @@ _FREQUENT_KINDS: Final = (
 )
 
 
-def link_conditions(scene: SimulationState, table: ConditionTable) -> None:
+def compile_condition_kernel(scene: SimulationState, table: ConditionTable) -> None:
     """Compile the kernel of less frequent conditions if the table has any; call this before a compiled run."""
     are_needed = not set(table.codes[:, 0].tolist()).issubset(_FREQUENT_KINDS)
     _REMAINING_KERNEL.link([0] if are_needed else [], scene, table, types.int64, types.int64)

@@ -65,7 +65,7 @@ def distance_to_entity(scene, n, e, other, distance_kind):
         return dx * cos + dy * sin
     if distance_kind == LATERAL_DISTANCE:
         return dy * cos - dx * sin
-    nearest, farthest = _box_extent(scene, n, e, other, distance_kind == LATERAL_DISTANCE + FREE_SPACE)
+    nearest, farthest = _box_range_seen_from(scene, n, e, other, distance_kind == LATERAL_DISTANCE + FREE_SPACE)
     half = 0.5 * scene.dimensions[e, WIDTH if distance_kind == LATERAL_DISTANCE + FREE_SPACE else LENGTH]
     if nearest > half:
         return nearest - half
@@ -73,7 +73,7 @@ def distance_to_entity(scene, n, e, other, distance_kind):
 
 
 @_kernel
-def _box_extent(scene, n, e, other, is_lateral):
+def _box_range_seen_from(scene, n, e, other, is_lateral):
     """Return the smallest and largest coordinate of the box of another entity, in m from the centre of the box of `e`.
 
     The coordinate is positive to the left of `e` if `is_lateral`, otherwise positive ahead.

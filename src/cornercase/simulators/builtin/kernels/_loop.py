@@ -23,7 +23,12 @@ from cornercase.drivers._kernels.decide import (
 from cornercase.drivers._kernels.structs import NOT_COMPILED, DrivenState, Workspace
 from cornercase.drivers._steered_vehicle import has_steered_vehicle
 from cornercase.simulators.builtin.kernels._action_table import ACTION_APPLIED, NEEDS_LOOKUP, PYTHON_ACTION
-from cornercase.simulators.builtin.kernels._actions import SavedState, alloc_saved, apply_actions, list_running_actions
+from cornercase.simulators.builtin.kernels._actions import (
+    SavedState,
+    alloc_saved_state,
+    apply_actions,
+    list_running_actions,
+)
 from cornercase.simulators.builtin.kernels._conditions import (
     Watchlist,
     alloc_watchlist,
@@ -101,7 +106,7 @@ class LoopOptions(NamedTuple):
     is_coupled: bool  # whether another simulator decides in each frame, after all drivers
 
 
-class Buffers(NamedTuple):
+class ThreadBuffers(NamedTuple):
     """Buffers of a thread that runs the scenarios [first, last) with E entities one after the other."""
 
     first: int
@@ -123,9 +128,9 @@ def run_until_storyboard(scene, tracks, roads, fleet, actions, conditions, loop,
     Scenarios do not affect each other, so the number of threads does not change the results.
     """
     entities = scene.floats.shape[2]
-    saved, rest = alloc_saved(actions.options.shape[0]), np.empty(entities, dtype=np.int8)
+    saved, rest = alloc_saved_state(actions.options.shape[0]), np.empty(entities, dtype=np.int8)
     others, watchlist, motion = np.empty((4, entities - 1)), alloc_watchlist(conditions), np.empty(5)
-    buffers = Buffers(first, last, saved, watchlist, rest, others, make_workspace(entities - 1), motion)
+    buffers = ThreadBuffers(first, last, saved, watchlist, rest, others, make_workspace(entities - 1), motion)
     _run_scenarios(
         reference_to(scene),
         reference_to(tracks),
@@ -172,7 +177,7 @@ def _run_scenarios(scene, tracks, roads, fleet, actions, conditions, loop, optio
             if outcome != ACTION_APPLIED:
                 status = ACTION_ENDED if is_acting else NEEDS_STORYBOARD
                 break
-            status = _finish_frame(scene, tracks, fleet, loop, options, n, dt, buffers)
+            status = _move_and_record_frame(scene, tracks, fleet, loop, options, n, dt, buffers)
             if is_acting and loop.evaluates_each_frame[n] and status == MOVE:
                 status = NEEDS_STORYBOARD
         if status == NEEDS_STORYBOARD and scene.n_frames[n] >= options.max_frames:
@@ -199,14 +204,14 @@ def _list_actions_and_wake_entities(scene, actions, loop, n, buffers):
 
 
 @_inlined_kernel
-def _finish_frame(scene, tracks, fleet, loop, options, n, dt, buffers):
+def _move_and_record_frame(scene, tracks, fleet, loop, options, n, dt, buffers):
     """Let drivers decide, move all entities and record the frame; return the new state of the scenario."""
     if dt > 0.0:
         d, drivers = loop.next_driver[n], loop.driven_entities.shape[0]
         while d < drivers:
             e = loop.driven_entities[d]
-            if _is_in_charge(scene, tracks, n, d, e):
-                if not _is_moved_here(scene, tracks, fleet, n, d, e):
+            if _does_driver_decide_speed(scene, tracks, n, d, e):
+                if not _can_kernels_move_entity(scene, tracks, fleet, n, d, e):
                     loop.next_driver[n] = d
                     return NEEDS_DRIVER
                 if _apply_driver(scene, tracks, fleet, n, d, e, dt, buffers):
@@ -225,7 +230,7 @@ def _finish_frame(scene, tracks, fleet, loop, options, n, dt, buffers):
 
 
 @_inlined_kernel
-def _is_in_charge(scene, tracks, n, driver, e):
+def _does_driver_decide_speed(scene, tracks, n, driver, e):
     """Return whether a driver decides the speed of entity `e` now.
 
     On a trajectory with times, no driver decides, since the times give the speed.
@@ -236,7 +241,7 @@ def _is_in_charge(scene, tracks, n, driver, e):
 
 
 @_inlined_kernel
-def _is_moved_here(scene, tracks, fleet, n, driver, e):
+def _can_kernels_move_entity(scene, tracks, fleet, n, driver, e):
     """Return whether kernels can move a driven entity instead of Python.
 
     The driver has to be compiled. Kernels steer a vehicle along lanes only.

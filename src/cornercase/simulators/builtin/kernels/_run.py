@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from cornercase._common.numba.interpret import can_interpret, interpret
-from cornercase.drivers._compiled import link_drivers
-from cornercase.simulators.builtin.kernels._actions import link_actions
-from cornercase.simulators.builtin.kernels._conditions import link_conditions
+from cornercase.drivers._compiled import compile_fleet_kernels
+from cornercase.simulators.builtin.kernels._actions import compile_action_kernels
+from cornercase.simulators.builtin.kernels._conditions import compile_condition_kernel
 from cornercase.simulators.builtin.kernels._loop import IDLE, LoopState, run_until_storyboard
 
 
@@ -34,8 +34,8 @@ def run_scenarios(
     If this kernel is not compiled yet, Python interprets it scenario by scenario while that takes less time.
     """
     arguments = (scene, tracks, roads, fleet, actions, conditions, loop, options, first, last)
-    if not can_interpret(0.0, is_loop=True) or run_until_storyboard.is_ready(*arguments):
-        link_kernels(*arguments[:6])
+    if not can_interpret(0.0, is_loop=True) or run_until_storyboard.has_machine_code(*arguments):
+        compile_loop_kernels(*arguments[:6])
         run_until_storyboard(*arguments)
         return
     waiting = first + np.flatnonzero(loop.status[first:last] != IDLE)
@@ -52,13 +52,13 @@ def run_scenarios(
         n_done += 1
     loop.status[waiting[:n_done]], loop.status[waiting[n_done:]] = IDLE, status[n_done:]
     if n_done < len(waiting):
-        link_kernels(*arguments[:6])
+        compile_loop_kernels(*arguments[:6])
         run_until_storyboard(*arguments)
     loop.status[waiting[:n_done]] = status[:n_done]
 
 
-def link_kernels(scene: Any, tracks: Any, roads: Any, fleet: Any, actions: Any, conditions: Any) -> None:
+def compile_loop_kernels(scene: Any, tracks: Any, roads: Any, fleet: Any, actions: Any, conditions: Any) -> None:
     """Compile the kernels of drivers, actions and conditions that the time loop calls; needed before a compiled run."""
-    link_drivers(fleet)
-    link_actions(scene, tracks, roads, actions)
-    link_conditions(scene, conditions)
+    compile_fleet_kernels(fleet)
+    compile_action_kernels(scene, tracks, roads, actions)
+    compile_condition_kernel(scene, conditions)

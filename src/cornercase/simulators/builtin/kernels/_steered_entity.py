@@ -68,11 +68,11 @@ def steer_along_lane(scene, tracks, fleet, n, driver, e, request, dt, motion):
     state[OFFSET, e] = (motion[1] - y) * math.cos(heading) - (motion[0] - x) * math.sin(heading)
     if state[X, e] == state[FROM_X, e] and state[Y, e] == state[FROM_Y, e]:
         return False
-    return _may_have_left(tracks, lane, fleet.half_widths[driver, track], distance, state[OFFSET, e])
+    return _may_have_left_lane(tracks, lane, fleet.half_widths[driver, track], distance, state[OFFSET, e])
 
 
 @_inlined_kernel
-def _may_have_left(tracks, lane, half_widths, distance, offset):
+def _may_have_left_lane(tracks, lane, half_widths, distance, offset):
     """Return whether an entity may be beyond the edge of its lane; True if the width of the lane is not known.
 
     `half_widths` is the memory address of half the width at each sample of the lane, or 0.

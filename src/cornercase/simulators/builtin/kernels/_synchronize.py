@@ -337,7 +337,7 @@ def _speed_for_arrival_with_final_speed(speed, road_speed, memory, distance, tim
 @_kernel
 def _speed_in_first_phase(speed, road_speed, memory, distance, time, final_speed, dt):
     """Return the speed in m/s at the end of the step, in the first of two phases of constant acceleration."""
-    rate, apex = _first_phase(road_speed, final_speed, distance, time)
+    rate, apex = _solve_first_phase(road_speed, final_speed, distance, time)
     if (rate < 0.0) if memory[_IS_FASTER_FIRST] > 0.0 else (rate > 0.0):
         memory[_PHASE] = LAST_PHASE
         return speed
@@ -354,7 +354,7 @@ def _speed_in_first_phase(speed, road_speed, memory, distance, time, final_speed
 
 
 @_kernel
-def _first_phase(start_speed, end_speed, distance, time):
+def _solve_first_phase(start_speed, end_speed, distance, time):
     """Return the acceleration in the first of two phases in m/s², and the speed in m/s at the end of this phase.
 
     The phases have opposite accelerations. Together they cover `distance` in `time`, from the start speed v0 to the end

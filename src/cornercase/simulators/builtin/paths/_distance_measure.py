@@ -22,7 +22,7 @@ from cornercase.simulators.builtin.world._entity_distances import (
     free_space_to_entity,
     offset_of_entity,
     offset_of_point,
-    shorten_distance,
+    subtract_boxes_from_distance,
 )
 from cornercase.simulators.builtin.world._free_space import (
     free_space_to_entity_on_road,
@@ -92,7 +92,7 @@ class DistanceMeasure:
         if not self.is_free_space:
             return distance
         front, rear = 0.5 * entity.length + entity.center_x, 0.5 * entity.length - entity.center_x
-        return free_space_to_point_on_road(world, e, pose, False, shorten_distance(distance, front, rear))
+        return free_space_to_point_on_road(world, e, pose, False, subtract_boxes_from_distance(distance, front, rear))
 
     def kernel_kind(self, *, to_entity: bool) -> int | None:
         """Return the number by which kernels know this kind of distance; None if only Python can measure it."""

@@ -58,11 +58,11 @@ def read_entity_refs(holder: etree._Element, scope: Scope, world: World) -> list
 
     A selection stands for its members. Each entity is listed once.
     """
-    rows = (row for element in holder.iterfind("EntityRef") for row in read_members(element, scope, world))
+    rows = (row for element in holder.iterfind("EntityRef") for row in read_entity_or_members(element, scope, world))
     return list(dict.fromkeys(rows))
 
 
-def read_members(element: etree._Element, scope: Scope, world: World) -> list[int]:
+def read_entity_or_members(element: etree._Element, scope: Scope, world: World) -> list[int]:
     """Return the index of the entity that ``entityRef`` names, or the indices of all members of a selection."""
     members = world.selections.get(scope.read_text(element, "entityRef"))
     return [read_entity_index(element, scope, world)] if members is None else members
@@ -247,7 +247,7 @@ def _read_route_position(element: etree._Element, scope: Scope, world: World) ->
     has_orientation = element.find("Orientation") is not None
 
     def resolve(world: World) -> Pose:
-        road, s, along = _walk_route(network, route(world), distance)
+        road, s, along = _locate_distances_on_route(network, route(world), distance)
         if on_lane:
             pose = _pose_from_lane_coordinates(
                 world, road, np.full(scope.n_scenarios, lane), s, lateral, turn, relative
@@ -262,7 +262,7 @@ def _read_route_position(element: etree._Element, scope: Scope, world: World) ->
     return resolve
 
 
-def _walk_route(
+def _locate_distances_on_route(
     network: RoadNetwork, waypoints: list[Pose], distance: FloatArray
 ) -> tuple[IntArray, FloatArray, BoolArray]:
     """Return road index, s in m, and if the route runs along s, at distances in m along a route, shape (N,) each."""
@@ -322,7 +322,7 @@ def _read_trajectory_position(element: etree._Element, scope: Scope, world: Worl
     return resolve
 
 
-def _read_offset_position(element: etree._Element, scope: Scope, world: World) -> PositionResolver:
+def _read_relative_xy_position(element: etree._Element, scope: Scope, world: World) -> PositionResolver:
     """Read a ``RelativeObjectPosition`` (along the axes of an entity) or ``RelativeWorldPosition`` (along x and y)."""
     entity = read_entity_index(element, scope, world)
     dx, dy = scope.read_numbers(element, "dx"), scope.read_numbers(element, "dy")
@@ -391,6 +391,6 @@ _READERS: Final[dict[str, Callable[[etree._Element, Scope, World], PositionResol
     "RelativeRoadPosition": _read_relative_road_position,
     "RoutePosition": _read_route_position,
     "TrajectoryPosition": _read_trajectory_position,
-    "RelativeObjectPosition": _read_offset_position,
-    "RelativeWorldPosition": _read_offset_position,
+    "RelativeObjectPosition": _read_relative_xy_position,
+    "RelativeWorldPosition": _read_relative_xy_position,
 }

@@ -101,7 +101,7 @@ def has_times(holder: etree._Element, scope: Scope) -> bool:
         if part.get(name) is not None
     ]
     times_given = [inner.read_numbers(part, name) for part, name in timed]
-    origins = {origin for part, name in timed for origin in inner.origin_parameters(part.get(name, ""))}
+    origins = {origin for part, name in timed for origin in inner.find_origin_parameters(part.get(name, ""))}
     if element.find("Shape/Polyline") is None and element.find("Shape/Nurbs") is None:
         # Missing times of clothoids are 0.
         times_given.append(np.zeros(scope.n_scenarios))
@@ -213,7 +213,7 @@ def _read_clothoids(
         raise scope.error_at(element, "a <ClothoidSpline> has no segments.")
     length = np.stack([scope.read_numbers(segment, "length") for segment in segments], axis=1)
     for segment, values in zip(segments, length.T, strict=True):
-        if not scope.origin_parameters(segment.get("length", "")) and not values[0] > 0:
+        if not scope.find_origin_parameters(segment.get("length", "")) and not values[0] > 0:
             raise scope.error_at(segment, f"length of <{segment.tag}> is not above 0.")
         scope.mark_invalid(segment, "length", "is not above 0", ~(values > 0))
     length = np.where(length > 0, length, 1.0)

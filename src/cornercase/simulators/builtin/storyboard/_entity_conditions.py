@@ -77,7 +77,7 @@ _COMPONENTS: Final = {
 }
 
 
-def _number_reader(kind: int, attribute: str) -> ConditionReader:
+def _make_threshold_reader(kind: int, attribute: str) -> ConditionReader:
     """Return a function that reads a condition: a property of the entity exceeds the number in `attribute`."""
     return lambda element, scope, world: (LeafCondition(kind, values=(scope.read_numbers(element, attribute),)),)
 
@@ -101,7 +101,7 @@ def _reach_position_condition(element: etree._Element, scope: Scope, world: Worl
     return reached
 
 
-def _velocity_reader(kind: int) -> ConditionReader:
+def _make_velocity_reader(kind: int) -> ConditionReader:
     """Return a function that reads a condition on a component of a velocity or an acceleration."""
 
     def read(element: etree._Element, scope: Scope, world: World) -> EntityTest:
@@ -149,7 +149,7 @@ def _read_gap_condition(kind: int, holds: GapTest, element: etree._Element, othe
     return test
 
 
-def _gap_reader(kind: int, holds: GapTest) -> ConditionReader:
+def _make_gap_reader(kind: int, holds: GapTest) -> ConditionReader:
     """Return a function that reads a condition on the distance to the entity that its XML element names."""
     return lambda element, scope, world: _read_gap_condition(
         kind, holds, element, read_entity_index(element, scope, world), scope
@@ -189,7 +189,7 @@ def _time_to_collision_condition(element: etree._Element, scope: Scope, world: W
     if reference is not None:
         other = read_entity_index(reference, scope, world)
         kind = conditions.TIME_TO_COLLISION_CONDITION
-        return _read_gap_condition(kind, _time_to_entity_holds, element, other, scope)
+        return _read_gap_condition(kind, _ttc_to_entity_holds, element, other, scope)
     if holder is None:
         raise scope.error_at(
             element, "<TimeToCollisionCondition> names neither an entity nor a position as its target."
@@ -199,12 +199,12 @@ def _time_to_collision_condition(element: etree._Element, scope: Scope, world: W
 
     def holds(world: World, e: int) -> BoolArray:
         distance = gap.measure_to_point(world, e, position(world))
-        return np.asarray(_time_to_close_holds(distance, world.speed[e], lambda number: rule(number, value)))
+        return np.asarray(_ttc_holds(distance, world.speed[e], lambda number: rule(number, value)))
 
     return holds
 
 
-def _time_to_entity_holds(world: World, e: int, other: int, distance: FloatArray, compare: Comparison) -> Any:
+def _ttc_to_entity_holds(world: World, e: int, other: int, distance: FloatArray, compare: Comparison) -> Any:
     # The closing speed is measured along the other's direction of motion.
     x, y = world.step_velocity[0][other], world.step_velocity[1][other]
     pace = np.hypot(x, y)
@@ -212,10 +212,10 @@ def _time_to_entity_holds(world: World, e: int, other: int, distance: FloatArray
     own_speed = (world.step_velocity[0][e] * x + world.step_velocity[1][e] * y) / np.where(stands, 1.0, pace)
     signs = np.where(world.speed[e] < 0.0, -1.0, 1.0) * np.where(own_speed < 0.0, -1.0, 1.0)
     closing = np.where(stands, world.speed[e], signs * (own_speed - np.abs(world.speed[other])))
-    return _time_to_close_holds(distance, closing, compare)
+    return _ttc_holds(distance, closing, compare)
 
 
-def _time_to_close_holds(distance: FloatArray, closing: FloatArray, compare: Comparison) -> Any:
+def _ttc_holds(distance: FloatArray, closing: FloatArray, compare: Comparison) -> Any:
     defined = (np.abs(distance) >= TOLERANCE) & (np.abs(closing) >= TOLERANCE)
     time = np.where(defined, distance / np.where(defined, closing, 1.0), -1.0)
     return (time >= 0.0) & compare(time)
@@ -279,18 +279,18 @@ def _angle_condition(element: etree._Element, scope: Scope, world: World) -> Ent
 
 
 ENTITY_CONDITION_READERS: Final[dict[str, ConditionReader]] = {
-    "TraveledDistanceCondition": _number_reader(conditions.TRAVELED_DISTANCE_CONDITION, "value"),
+    "TraveledDistanceCondition": _make_threshold_reader(conditions.TRAVELED_DISTANCE_CONDITION, "value"),
     "ReachPositionCondition": _reach_position_condition,
-    "SpeedCondition": _velocity_reader(conditions.SPEED_CONDITION),
-    "RelativeSpeedCondition": _velocity_reader(conditions.RELATIVE_SPEED_CONDITION),
-    "AccelerationCondition": _velocity_reader(conditions.ACCELERATION_CONDITION),
-    "StandStillCondition": _number_reader(conditions.STAND_STILL_CONDITION, "duration"),
-    "EndOfRoadCondition": _number_reader(conditions.END_OF_ROAD_CONDITION, "duration"),
+    "SpeedCondition": _make_velocity_reader(conditions.SPEED_CONDITION),
+    "RelativeSpeedCondition": _make_velocity_reader(conditions.RELATIVE_SPEED_CONDITION),
+    "AccelerationCondition": _make_velocity_reader(conditions.ACCELERATION_CONDITION),
+    "StandStillCondition": _make_threshold_reader(conditions.STAND_STILL_CONDITION, "duration"),
+    "EndOfRoadCondition": _make_threshold_reader(conditions.END_OF_ROAD_CONDITION, "duration"),
     "OffroadCondition": _off_road_condition,
     "CollisionCondition": _collision_condition,
-    "RelativeDistanceCondition": _gap_reader(conditions.RELATIVE_DISTANCE_CONDITION, _relative_distance_holds),
+    "RelativeDistanceCondition": _make_gap_reader(conditions.RELATIVE_DISTANCE_CONDITION, _relative_distance_holds),
     "DistanceCondition": _distance_condition,
-    "TimeHeadwayCondition": _gap_reader(conditions.TIME_HEADWAY_CONDITION, _time_headway_holds),
+    "TimeHeadwayCondition": _make_gap_reader(conditions.TIME_HEADWAY_CONDITION, _time_headway_holds),
     "TimeToCollisionCondition": _time_to_collision_condition,
     "RelativeClearanceCondition": _relative_clearance_condition,
     "AngleCondition": _angle_condition,

@@ -13,12 +13,12 @@ from lxml import etree
 
 from cornercase._common.errors import InputError
 from cornercase._common.io.tracked_xml import note_adaptation
-from cornercase._common.text.source_lines import format_location, locate_input_errors
+from cornercase._common.text.element_locations import add_location_to_input_errors, format_location
 from cornercase._common.typing import BoolArray
 from cornercase.scenario._file import ScenarioFile
 from cornercase.scenario._scope import Scope
-from cornercase.simulators.builtin.actions._basic import find_action_element, read_action
-from cornercase.simulators.builtin.paths._positions import read_entity_refs, read_members
+from cornercase.simulators.builtin.actions._immediate_actions import find_action_element, read_action
+from cornercase.simulators.builtin.paths._positions import read_entity_or_members, read_entity_refs
 from cornercase.simulators.builtin.storyboard._element import RUNNING, STANDBY, Element, StateWatcher
 from cornercase.simulators.builtin.storyboard._events import ActionElement, ElementGroup, Event
 from cornercase.simulators.builtin.storyboard._triggers import Trigger, read_trigger
@@ -95,11 +95,11 @@ class Storyboard:
         """Return which actions run, boolean array (number of actions, number of scenarios)."""
         return np.asarray(self._states[self._action_rows] == RUNNING)
 
-    def waits_without_trigger(self) -> BoolArray:
+    def find_untriggered_starts(self) -> BoolArray:
         """Return the scenarios in which an element without start trigger waits, or the storyboard has stopped."""
         return np.asarray(self._stopped | (self._states[self._untriggered_rows] == STANDBY).any(axis=0))
 
-    def watch_element(self, kind: str, name: str, watch: StateWatcher, location: str) -> None:
+    def add_element_watcher(self, kind: str, name: str, watch: StateWatcher, location: str) -> None:
         """Note that a condition waits for the element with a type and name; connected once all elements are read."""
         self._watches.append((kind, name, watch, location))
 
@@ -174,20 +174,20 @@ class Storyboard:
             if element.tag != "Private":
                 yield self._read_action("init", element, scope, None)
                 continue
-            for entity in read_members(element, scope, self._world):
+            for entity in read_entity_or_members(element, scope, self._world):
                 for private_action in element.iterfind("PrivateAction"):
                     yield self._read_action("init", private_action, scope, entity)
 
     def _read_story(self, story: etree._Element, scope: Scope) -> ElementGroup:
         scope = scope.nested_scope(story)
         name = story.get("name", "")
-        with self._inside_parent(name), locate_input_errors(story, scope.file_name):
+        with self._inside_parent(name), add_location_to_input_errors(story, scope.file_name):
             acts = [self._read_act(act, scope) for act in story.iterfind("Act")]
         return self._register_element(ElementGroup("story", name, scope.n_scenarios, acts))
 
     def _read_act(self, act: etree._Element, scope: Scope) -> ElementGroup:
         name = act.get("name", "")
-        with self._inside_parent(name), locate_input_errors(act, scope.file_name):
+        with self._inside_parent(name), add_location_to_input_errors(act, scope.file_name):
             groups = [self._read_group(group, scope) for group in act.iterfind("ManeuverGroup")]
         start, stop = (self._read_trigger(act, tag, scope) for tag in ("StartTrigger", "StopTrigger"))
         return self._register_element(ElementGroup("act", name, scope.n_scenarios, groups, start, stop))
@@ -211,7 +211,7 @@ class Storyboard:
             with self._inside_parent(name), self._inside_parent(maneuver_name):
                 events = []
                 for event in maneuver.iterfind("Event"):
-                    with locate_input_errors(event, inner.file_name):
+                    with add_location_to_input_errors(event, inner.file_name):
                         events.append(self._read_event(event, inner, actors, select))
             with self._inside_parent(name):
                 maneuvers.append(
@@ -258,7 +258,7 @@ class Storyboard:
         takes_part: Callable[[], BoolArray] | None = None,
     ) -> ActionElement:
         rivals, action_element = self._actions.setdefault(entity, []), find_action_element(element)
-        with locate_input_errors(action_element, scope.file_name):
+        with add_location_to_input_errors(action_element, scope.file_name):
             action = read_action(element, scope, self._world, entity)
         # The name of the scenario file itself is omitted.
         scenario_file = str(self._scenario.path)

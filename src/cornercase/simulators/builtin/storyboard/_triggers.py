@@ -11,9 +11,9 @@ from lxml import etree
 from cornercase._common.errors import suggest_name
 from cornercase._common.io.tracked_xml import note_adaptation
 from cornercase._common.masks import any_true
-from cornercase._common.text.source_lines import locate_input_errors
+from cornercase._common.text.element_locations import add_location_to_input_errors
 from cornercase._common.typing import BoolArray, FloatArray
-from cornercase.scenario._runner_criteria import is_condition_never_true
+from cornercase.scenario._scenario_runner_criteria import is_condition_never_true
 from cornercase.scenario._scope import Scope
 from cornercase.simulators.builtin.actions._longitudinal import require_child
 from cornercase.simulators.builtin.kernels import _conditions as conditions_module
@@ -82,7 +82,9 @@ class Condition:
         self._last_value = np.where(where, value.astype(np.int8), last)
         if self._edge != "none":
             world.changed |= self._last_value != last
-        return where & (result if self.delay_buffer is None else self.delay_buffer.delayed_value(world, result, where))
+        return where & (
+            result if self.delay_buffer is None else self.delay_buffer.store_and_delay(world, result, where)
+        )
 
     @property
     def kernel_spec(self) -> ConditionSpec | None:
@@ -133,7 +135,7 @@ class DelayBuffer:
         self._frames: list[tuple[FloatArray, BoolArray, BoolArray]] = []
         self._newest_value, self._current_value = (np.full(len(delay), -1, dtype=np.int8) for _ in range(2))
 
-    def delayed_value(self, world: World, value: BoolArray, where: BoolArray) -> BoolArray:
+    def store_and_delay(self, world: World, value: BoolArray, where: BoolArray) -> BoolArray:
         """Store the present values and return the delayed values; of several values that become due, True wins."""
         new, time = where & (self._newest_value != value), world.time
         self._newest_value[new] = value[new]
@@ -240,7 +242,7 @@ def read_trigger(element: etree._Element | None, scope: Scope, world: World, sto
                 )
             delay = scope.read_numbers(condition, "delay", 0.0)
             scope.mark_invalid(condition, "delay", "is below 0", delay < 0.0)
-            with locate_input_errors(condition, scope.file_name):
+            with add_location_to_input_errors(condition, scope.file_name):
                 conditions.append(Condition(_read_condition_test(condition, scope, world, storyboard), edge, delay))
         if not conditions:
             rule = "a <ConditionGroup> holds at least one <Condition>"
@@ -349,7 +351,7 @@ def _element_state_condition(element: etree._Element, scope: Scope, world: World
     where = f"{scope.file_name}, line {element.sourceline}: <{element.tag}>"
 
     watch = StateWatcher(state, scope.n_scenarios, where)
-    storyboard.watch_element(kind, name, watch, where)
+    storyboard.add_element_watcher(kind, name, watch, where)
     return watch
 
 

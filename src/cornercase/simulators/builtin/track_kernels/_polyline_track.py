@@ -24,7 +24,7 @@ _kernel = kernel(error_model="numpy", forceinline=True, _nrt=False)
 def pose_on_polyline(tracks, row, n, distance, offset):
     """Return x, y (m) and heading (rad) at a distance along a polyline and an offset to the left, both in m."""
     table = floats_at_address(_vertex_array_address(tracks, row, n, track_layout.DISTANCE), tracks.size[row])
-    distance = _wrap_closed(tracks, row, table, distance)
+    distance = _wrap_distance_if_closed(tracks, row, table, distance)
     clipped, segment, fraction = _locate_on_segment(table, distance, 0.0)
     x = floats_at_address(_vertex_array_address(tracks, row, n, track_layout.X), tracks.size[row])
     y = floats_at_address(_vertex_array_address(tracks, row, n, track_layout.Y), tracks.size[row])
@@ -50,7 +50,7 @@ def polyline_length(tracks, row, n):
 def polyline_direction(tracks, row, n, distance):
     """Return the direction of a polyline in rad at a distance; the heading of an entity there may differ."""
     table = floats_at_address(_vertex_array_address(tracks, row, n, track_layout.DISTANCE), tracks.size[row])
-    segment = _locate_on_segment(table, _wrap_closed(tracks, row, table, distance), VERTEX_TOLERANCE)[1]
+    segment = _locate_on_segment(table, _wrap_distance_if_closed(tracks, row, table, distance), VERTEX_TOLERANCE)[1]
     return floats_at_address(_direction_array_address(tracks, row, n), tracks.size[row] - 1)[segment]
 
 
@@ -59,7 +59,7 @@ def polyline_heading_is_given(tracks, row, n, distance):
     """Return whether the scenario file defines the heading at a distance along a polyline."""
     last = tracks.size[row] - 1
     table = floats_at_address(_vertex_array_address(tracks, row, n, track_layout.DISTANCE), last + 1)
-    distance = _wrap_closed(tracks, row, table, distance)
+    distance = _wrap_distance_if_closed(tracks, row, table, distance)
     # On a segment, the vertex at its beginning counts.
     vertex = (
         last if distance > table[last] - VERTEX_TOLERANCE else _locate_on_segment(table, distance, VERTEX_TOLERANCE)[1]
@@ -128,7 +128,7 @@ def _direction_array_address(tracks, row, n):
 
 
 @_kernel
-def _wrap_closed(tracks, row, table, distance):
+def _wrap_distance_if_closed(tracks, row, table, distance):
     """Return the distance within one lap if the polyline is closed, rounded as by `numpy.mod`; otherwise unchanged."""
     return distance % table[table.size - 1] if tracks.is_closed[row] else distance
 

@@ -151,7 +151,7 @@ class ClothoidSpline(Trajectory):
         return best
 
     def copy_rows_from(self, other: Trajectory, rows: BoolArray) -> None:
-        super().copy_rows_from(other, rows)
+        super().copy_scenarios_from(other, rows)
         self._sample_chords()
 
     @property

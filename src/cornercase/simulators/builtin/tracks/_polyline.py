@@ -78,7 +78,7 @@ class Polyline(Trajectory):
         )
 
     def copy_rows_from(self, other: Trajectory, rows: BoolArray) -> None:
-        super().copy_rows_from(other, rows)
+        super().copy_scenarios_from(other, rows)
         self._update_uniformity()
 
     @property

@@ -102,7 +102,7 @@ class Track(ABC):
         If a lane track passes the point several times, the first pass beyond the distance `after` counts.
         """
 
-    def nearby_distance(self, x: FloatArray, y: FloatArray, rows: IntArray, before: FloatArray) -> FloatArray:
+    def project_moving_point(self, x: FloatArray, y: FloatArray, rows: IntArray, before: FloatArray) -> FloatArray:
         """Return the distance in m along the track of a moving point (x, y) that was at `before` a step earlier."""
         return self.nearest_distance(x, y, rows, before)
 
@@ -125,7 +125,7 @@ class Trajectory(Track):
     def curvature_at(self, distance: FloatArray, rows: IntArray) -> FloatArray:
         """Return the curvature in 1/m at distances along the trajectory in m, shape (R,); positive to the left."""
 
-    def copy_rows_from(self, other: Trajectory, rows: BoolArray) -> None:
+    def copy_scenarios_from(self, other: Trajectory, rows: BoolArray) -> None:
         """Copy the values in the scenarios of a mask from another trajectory of the same type."""
         for name in self._scenario_arrays:
             own = getattr(self, name)

@@ -100,10 +100,10 @@ def free_space_to_entity(world: World, entity: int, other: int, distance: FloatA
     own_box, other_box = world.entities[entity], world.entities[other]
     fronts = [0.5 * box.length + box.center_x for box in (own_box, other_box)]
     rears = [0.5 * box.length - box.center_x for box in (own_box, other_box)]
-    return shorten_distance(distance, fronts[0] + rears[1], rears[0] + fronts[1])
+    return subtract_boxes_from_distance(distance, fronts[0] + rears[1], rears[0] + fronts[1])
 
 
-def shorten_distance(distance: FloatArray, ahead: float, behind: float) -> FloatArray:
+def subtract_boxes_from_distance(distance: FloatArray, ahead: float, behind: float) -> FloatArray:
     """Return signed distances in m, reduced by the parts inside boxes; 0 if nothing remains.
 
     Positive distances are reduced by `ahead` m, negative distances by `behind` m.

@@ -72,7 +72,7 @@ def attach_to_lane(
     _, lane, s = pose.road_coordinates()
     road, section, along = _road_section_direction(world, pose, where)
     keys = np.stack([road, section, lane, along, world.route[entity]])
-    for key, rows in _iter_groups(keys, where):
+    for key, rows in _iter_scenarios_by_key(keys, where):
         track = get_lane_track(world, key[0], key[2], float(s[rows.argmax()]), bool(key[3]), key[4])
         if track is None:
             continue
@@ -171,13 +171,13 @@ def _half_widths(network: RoadNetwork, road: IntArray, lane: IntArray, s: FloatA
     return 0.5 * width
 
 
-def _iter_groups(keys: IntArray, where: BoolArray) -> Iterator[tuple[tuple[int, ...], BoolArray]]:
+def _iter_scenarios_by_key(keys: IntArray, where: BoolArray) -> Iterator[tuple[tuple[int, ...], BoolArray]]:
     """Group the scenarios of a mask by their columns in `keys`; yield each column, sorted, and a mask of its group."""
     for key in sorted({*zip(*keys[:, where].tolist(), strict=True)}):
         yield key, where & (keys == np.array(key)[:, None]).all(axis=0)
 
 
-def change_lane(world: World, entity: int, lane: IntArray, where: BoolArray) -> BoolArray:
+def switch_to_lane_track(world: World, entity: int, lane: IntArray, where: BoolArray) -> BoolArray:
     """Make an entity follow another lane of its road, without moving the entity itself.
 
     Returns a mask (N,) of the scenarios in which this lane exists.
@@ -188,7 +188,7 @@ def change_lane(world: World, entity: int, lane: IntArray, where: BoolArray) -> 
     road, section, along = _road_section_direction(world, pose, where)
     exists = np.zeros_like(where)
     keys = np.stack([road, section, lane, along, _remaining_route(world, entity, where)])
-    for key, rows in _iter_groups(keys, where):
+    for key, rows in _iter_scenarios_by_key(keys, where):
         track = get_lane_track(world, key[0], key[2], float(s[rows.argmax()]), bool(key[3]), key[4])
         if track is None:
             continue

@@ -29,7 +29,7 @@ def read_text_value(element: etree._Element, scope: Scope, values: npt.NDArray[n
     return truth
 
 
-def is_unused_by_conditions(element: etree._Element, *conditions: str) -> bool:
+def has_no_conditions_with_tags(element: etree._Element, *conditions: str) -> bool:
     """Return whether the scenario file of an element holds no condition with one of the given tags.
 
     Returns False if the file uses catalogs of maneuvers, since these may hold one.

@@ -80,7 +80,7 @@ def move_to_pose(
         state[entity][where] = values[where]
     world.moved[entity] |= where
     for _, track, at in world.iter_followed_tracks(entity, where):
-        along = track.nearby_distance(x[at], y[at], at, world.distance[entity][at])
+        along = track.project_moving_point(x[at], y[at], at, world.distance[entity][at])
         on_x, on_y, track_heading = track.pose_at(along, np.zeros(len(at)), at)
         world.distance[entity][at] = along
         world.offset[entity][at] = (y[at] - on_y) * np.cos(track_heading) - (x[at] - on_x) * np.sin(track_heading)

@@ -13,7 +13,7 @@ from cornercase._common.errors import suggest_name
 from cornercase._common.io.tracked_xml import note_adaptation
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.scenario._scope import Scope
-from cornercase.simulators.builtin.world._text_values import is_unused_by_conditions
+from cornercase.simulators.builtin.world._text_values import has_no_conditions_with_tags
 
 SIGNAL_CONDITIONS: Final = ("TrafficSignalCondition", "TrafficSignalControllerCondition")
 """Tags of conditions on traffic signals."""
@@ -78,8 +78,8 @@ def read_signal_controllers(root: etree._Element, scope: Scope) -> dict[str, Sig
         durations = np.array([scope.read_numbers(phase, "duration") for phase in phases])
         is_instant = np.ones(scope.n_scenarios, dtype=np.bool_) if not phases else durations.sum(axis=0) <= 0
         is_instant |= (durations < 0).any(axis=0)
-        if is_instant.any() and not any(scope.origin_parameters(phase.get("duration", "")) for phase in phases):
-            if is_unused_by_conditions(element, *SIGNAL_CONDITIONS):
+        if is_instant.any() and not any(scope.find_origin_parameters(phase.get("duration", "")) for phase in phases):
+            if has_no_conditions_with_tags(element, *SIGNAL_CONDITIONS):
                 why = f"'{name}' is skipped, as none of its phases takes time, and no condition uses signals"
                 note_adaptation(
                     element, "<TrafficSignalController>", why, "a signal controller has phases that take time"

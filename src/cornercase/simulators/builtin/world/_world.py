@@ -19,7 +19,7 @@ from cornercase._common.geometry.boxes import box_corners
 from cornercase._common.io.support_table import NoticeLabel
 from cornercase._common.plugin_errors import format_time_of_failure
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
-from cornercase.drivers._function import Body
+from cornercase.drivers._driving_function import Body
 from cornercase.roads._network import RoadNetwork
 from cornercase.scenario import Value
 from cornercase.scenario._scope import Scope
@@ -38,7 +38,7 @@ from cornercase.simulators.builtin.world._state_layout import (
 from cornercase.simulators.builtin.world._traffic_signals import SignalController
 
 if TYPE_CHECKING:
-    from cornercase.simulators.builtin.kernels._compiled_world import CompiledWorld
+    from cornercase.simulators.builtin.kernels._kernel_interface import KernelInterface
 
 LONGITUDINAL, LATERAL = "longitudinal", "lateral"
 
@@ -172,7 +172,7 @@ class World:
     last_road: IntArray
     driver: IntArray
     pulled_by: IntArray
-    compiled: CompiledWorld
+    compiled: KernelInterface
 
     def __init__(
         self,
