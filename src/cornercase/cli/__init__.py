@@ -10,8 +10,8 @@ from typing import Final
 from cornercase._common.platform import replace_unencodable_output
 from cornercase._common.process.signals import install_signal_handlers
 from cornercase.cli import (  # noqa: F401
-    check_parts,
     compare,
+    contract_commands,
     demo,
     estimate,
     explore,
