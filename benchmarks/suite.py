@@ -39,7 +39,7 @@ from cornercase.reduction._critical_clusters import find_critical_clusters
 from cornercase.reduction._evaluate import load_study_data
 from cornercase.reduction._medoids import find_k_medoids
 from cornercase.reduction._mutant_selection import select_killing
-from cornercase.reduction.selection._select import SelectionInput, SelectionRequest, select
+from cornercase.reduction.selection._select import SelectionInput, SelectionRequest, select_reduced_set
 from cornercase.study import StudyFile
 from cornercase.suite import Requirement
 from cornercase.suite._mutation_analysis import run_mutants
@@ -133,7 +133,7 @@ def archetypes(material: SelectionInput, size: int) -> list[int]:
     """Prototypes and archetypes, as few for each cluster as give so many scenarios; all where there are fewer."""
     found: list[int] = []
     for each in range(1, 16):
-        found = [one.index for one in select(material, SelectionRequest(None, None, each, "hull"))[0]]
+        found = [one.index for one in select_reduced_set(material, SelectionRequest(None, None, each, "hull"))[0]]
         if len(found) >= size:
             break
     return found
@@ -142,7 +142,7 @@ def archetypes(material: SelectionInput, size: int) -> list[int]:
 def exposing(material: SelectionInput, choosing: Matrix, size: int) -> list[int]:
     """As `reduce --kill-mutants`."""
     with_mutants = replace(material, kills=choosing)
-    return [one.index for one in select(with_mutants, SelectionRequest(size, None, None, "auto"))[0]]
+    return [one.index for one in select_reduced_set(with_mutants, SelectionRequest(size, None, None, "auto"))[0]]
 
 
 def judged(path: Path, case: Case, seed: int) -> Iterator[dict[str, Any]]:
@@ -164,7 +164,9 @@ def judged(path: Path, case: Case, seed: int) -> Iterator[dict[str, Any]]:
     rng = np.random.default_rng(seed)
     for size in SIZES:
         sets = {
-            "reduce": [one.index for one in select(material, SelectionRequest(size, None, None, "auto"))[0]],
+            "reduce": [
+                one.index for one in select_reduced_set(material, SelectionRequest(size, None, None, "auto"))[0]
+            ],
             "medoids": find_k_medoids(first, size).tolist(),
             "archetypes": archetypes(material, size),
         }

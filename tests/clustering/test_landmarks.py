@@ -69,7 +69,7 @@ def test_distances_to_all_landmarks_follow_from_those_to_anchors():
     # Far from one another: the nearest two are farther apart than in a random choice.
     among = true[np.ix_(completion.anchors, completion.anchors)] + np.where(np.eye(N_ANCHORS), np.inf, 0.0)
     assert among.min() > 2.0 * np.sort(true[:N_ANCHORS, :N_ANCHORS], axis=1)[:, 1].min()
-    completed = completion.complete(true[300:, completion.anchors])
+    completed = completion.estimate_to_all_landmarks(true[300:, completion.anchors])
     np.testing.assert_allclose(completed, true[300:], atol=1e-9)
     assert np.array_equal(completed[:, completion.anchors], true[300:, completion.anchors])
 
@@ -77,7 +77,7 @@ def test_distances_to_all_landmarks_follow_from_those_to_anchors():
 def test_few_landmarks_are_all_anchors_even_if_they_are_equal():
     completion = LandmarkDistanceEstimator(np.zeros((4, 4)))
     assert completion.anchors.tolist() == [0, 1, 2, 3]
-    assert completion.complete(np.array([[1.0, 2.0, 3.0, 4.0]])).tolist() == [[1.0, 2.0, 3.0, 4.0]]
+    assert completion.estimate_to_all_landmarks(np.array([[1.0, 2.0, 3.0, 4.0]])).tolist() == [[1.0, 2.0, 3.0, 4.0]]
 
 
 def test_what_is_asked_of_places_is_what_the_matrix_says():
@@ -204,6 +204,6 @@ def test_a_landmark_far_away_does_not_hide_the_others():
     completion = LandmarkDistanceEstimator(squared)
     new = rng.normal(size=(50, 3))
     truth = ((new[:, None] - points[None]) ** 2).sum(axis=2)
-    found = completion.complete(truth[:, completion.anchors])
+    found = completion.estimate_to_all_landmarks(truth[:, completion.anchors])
     near = np.arange(300) != 7
     assert np.median(np.abs(found - truth)[:, near]) < 0.1 * np.median(truth[:, near])

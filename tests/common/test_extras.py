@@ -49,6 +49,6 @@ def test_a_missing_client_of_carla_is_not_asked_for_where_there_is_none(tmp_path
     client = ClientProcess(RunnerEnvironment(tmp_path, sys.executable, ""))
     try:
         with pytest.raises(InputError, match=r"there is none for Python 3\.13 .* Set CORNERCASE_CARLA_PYTHON to"):
-            client.ask("get_version")
+            client.call_method("get_version")
     finally:
         client.close()

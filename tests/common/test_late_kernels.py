@@ -48,13 +48,13 @@ def late_kernels():
 
 def test_only_the_kernels_that_are_needed_are_compiled():
     kernels, table = late_kernels()
-    kernels.link([MULTIPLY, 7], table, types.float64)
+    kernels.compile_needed([MULTIPLY, 7], table, types.float64)
     assert kernels.addresses[ADD] == 0
     with compile_at_once():
         assert calculate(table, MULTIPLY, 4.0) == 12.0
         with pytest.raises(RuntimeError, match="before it was compiled"):
             calculate(table, ADD, 4.0)
-        kernels.link([], table, types.float64)
+        kernels.compile_needed([], table, types.float64)
         assert calculate(table, ADD, 4.0) == 7.0
 
 
@@ -66,6 +66,6 @@ def test_interpreted_kernels_need_no_address():
 
 def test_other_types_than_those_of_the_call_are_refused():
     kernels, table = late_kernels()
-    kernels.link([ADD], table, types.float64)
+    kernels.compile_needed([ADD], table, types.float64)
     with pytest.raises(TypeError, match="but also with"):
-        late_kernels()[0].link([ADD], table, types.int64)
+        late_kernels()[0].compile_needed([ADD], table, types.int64)

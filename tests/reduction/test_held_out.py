@@ -17,7 +17,7 @@ from cornercase.reduction._held_out_coverage import (
     summarize_held_out_critical,
 )
 from cornercase.reduction._random_selections import distances_to_nearest_per_selection, draw_random_selections
-from cornercase.reduction.selection._select import SelectionInput, SelectionRequest, cross_validate, select
+from cornercase.reduction.selection._select import SelectionInput, SelectionRequest, cross_validate, select_reduced_set
 
 TWENTY = SelectionRequest(20, None, None, "auto")
 
@@ -53,7 +53,7 @@ def test_what_is_said_of_others_is_what_further_scenarios_find(sets):
     for seed in range(sets):
         rng = np.random.default_rng(seed)
         found = material(203, rng)
-        kept = [one.index for one in select(found, TWENTY)[0]]
+        kept = [one.index for one in select_reduced_set(found, TWENTY)[0]]
         others, _ = drawn(2003, rng)
         held_out = summarize_held_out(measure_held_out_distances(found.distances[0], cross_validate(found, TWENTY)))
         assert held_out is not None
@@ -70,7 +70,7 @@ def test_a_set_leaves_less_of_further_scenarios_than_random_choices_do_in_the_me
     for seed in range(5):
         rng = np.random.default_rng(100 + seed)
         found = material(303, rng)
-        kept = [one.index for one in select(found, SelectionRequest(30, None, None, "auto"))[0]]
+        kept = [one.index for one in select_reduced_set(found, SelectionRequest(30, None, None, "auto"))[0]]
         others, _ = drawn(2003, rng)
         away = cdist(found.points, others)
         random = distances_to_nearest_per_selection(
@@ -87,7 +87,7 @@ def test_critical_scenarios_are_like_a_kept_one_as_often_as_is_said_of_others(se
         rng = np.random.default_rng(seed)
         found = material(203, rng)
         distances, points = found.distances[0], found.points
-        kept = np.array([one.index for one in select(found, TWENTY)[0]])
+        kept = np.array([one.index for one in select_reduced_set(found, TWENTY)[0]])
         gaps = measure_held_out_distances(distances, cross_validate(found, TWENTY))
         critical = points.sum(axis=1) <= 0.4
         found_so = summarize_held_out_critical(gaps, critical, critical, 0.08)

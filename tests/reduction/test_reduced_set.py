@@ -21,7 +21,7 @@ from cornercase.reduction import read_reduction, reduce
 from cornercase.reduction._coverage import measure_coverage
 from cornercase.reduction._medoids import find_k_medoids
 from cornercase.reduction.selection._greedy import select_scenarios
-from cornercase.reduction.selection._select import SelectionInput, SelectionRequest, select
+from cornercase.reduction.selection._select import SelectionInput, SelectionRequest, select_reduced_set
 from cornercase.report import summarize
 from cornercase.report.text._summary_dict import summary_to_dict
 from cornercase.study import StudyFile
@@ -64,7 +64,7 @@ def test_a_set_begins_with_what_represents_the_critical_scenarios(size):
     critical[np.flatnonzero(labels == 0)[points[labels == 0][:, 0] < 0.02]] = True
     assert critical[labels == 1].sum() > critical[labels == 0].sum() > 0
     chosen = SelectionInput(points, distances, labels, points, [], critical)
-    kept, _ = select(chosen, SelectionRequest(size, None, None, "auto"))
+    kept, _ = select_reduced_set(chosen, SelectionRequest(size, None, None, "auto"))
     assert len(kept) == size
     assert [(one.cluster, one.role) for one in kept[:2]] == [(1, "critical prototype"), (0, "critical prototype")][
         :size
@@ -75,13 +75,13 @@ def test_a_set_begins_with_what_represents_the_critical_scenarios(size):
     assert is_critical == sorted(is_critical, reverse=True)
     # Each cluster without a critical scenario is represented before another one is twice.
     critical[labels == 0] = False
-    kept, _ = select(chosen, SelectionRequest(2, None, None, "auto"))
+    kept, _ = select_reduced_set(chosen, SelectionRequest(2, None, None, "auto"))
     assert [(one.cluster, one.role) for one in kept] == [(1, "critical prototype"), (0, "prototype")]
 
 
 def test_critical_scenarios_that_no_cluster_has_are_represented_too():
     points, distances, labels = two_clusters()
-    kept, _ = select(
+    kept, _ = select_reduced_set(
         SelectionInput(points, distances, labels, points, [], labels == -1), SelectionRequest(5, None, None, "auto")
     )
     assert (kept[0].cluster, kept[0].role) == (-1, "critical prototype")

@@ -113,20 +113,20 @@ def test_the_client_answers_from_an_old_python(python, tmp_path):
     assert find_client_version(environment) == "0.9.13"
     client = ClientProcess(environment)
     try:
-        assert client.ask("connect", "a", 2000, 0.1) == ["0.9.13", "0.9.13"]
+        assert client.call_method("connect", "a", 2000, 0.1) == ["0.9.13", "0.9.13"]
         with pytest.raises(ClientError, match="time-out of 100ms"):
-            client.ask("connect", "a", 1, 0.1)
-        client.ask("connect", "a", 2000, 0.1)
-        client.ask("track", ["Ego", "C"], "")
-        found = client.ask("poll")
+            client.call_method("connect", "a", 1, 0.1)
+        client.call_method("connect", "a", 2000, 0.1)
+        client.call_method("track", ["Ego", "C"], "")
+        found = client.call_method("poll")
         assert found["missing"] == ["Ego", "C"]
         # In right-handed axes.
         ((number, step, poses),) = json.loads(json.dumps(found["frames"]))
         assert (number, step) == (5, 0.05)
         assert poses["9"] == pytest.approx([3.0, -4.0, 1.5707963, -4.0])
-        client.ask("track", ["Ego"], "Ego")
-        ego = client.ask("poll")["entities"]["Ego"]
+        client.call_method("track", ["Ego"], "Ego")
+        ego = client.call_method("poll")["entities"]["Ego"]
         assert (ego["id"], ego["length"], ego["ahead"], ego["left"]) == (7, 6.0, 3.0, -4.0)
-        client.ask("end_tracking")
+        client.call_method("end_tracking")
     finally:
         client.close()

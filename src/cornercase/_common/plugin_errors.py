@@ -18,7 +18,7 @@ from cornercase._common.errors import (
     UserCodeError,
     is_machine_error,
 )
-from cornercase._common.process.signals import collect_interrupts, count_requests, is_termination_request
+from cornercase._common.process.signals import collect_interrupts, count_termination_requests, is_termination_request
 from cornercase._common.text.sanitize import remove_folders, shorten
 
 _PACKAGE_FOLDER: Final = str(Path(__file__).parents[1])
@@ -39,7 +39,7 @@ def convert_plugin_errors(name: str, plugin: object, activity: str = "") -> Iter
     plug-ins pass unchanged, too, because they are bugs of cornercase.
     """
     with collect_interrupts():
-        n_requests = count_requests()
+        n_requests = count_termination_requests()
         try:
             yield
         except InputError:
@@ -69,7 +69,7 @@ def make_scenario_failure(
 
     The error is a `PluginError`, or a `RunLostError` (the scenario may be run again) if the machine is at fault, for
     example because the disk is full. If the user asked the program to end, `KeyboardInterrupt` is raised instead.
-    `n_requests_before` is the value of `count_requests` before the plug-in ran.
+    `n_requests_before` is the value of `count_termination_requests` before the plug-in ran.
     """
     reraise_termination_request(error, n_requests_before)
     message = f"{plugin_name} failed{format_time_of_failure(time)}: {describe_error(error)}"
@@ -84,7 +84,7 @@ def user_code_error(failure: PluginError) -> UserCodeError:
 def reraise_termination_request(error: BaseException, n_requests_before: int) -> None:
     """Raise `KeyboardInterrupt` if an exception was caused by a request to end the program.
 
-    `n_requests_before` is the value of `count_requests` before the code ran that raised the exception.
+    `n_requests_before` is the value of `count_termination_requests` before the code ran that raised the exception.
     """
     if is_termination_request(error, n_requests_before):
         if isinstance(error, KeyboardInterrupt):

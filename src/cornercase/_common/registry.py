@@ -20,7 +20,7 @@ from cornercase._common.plugin_errors import (
     reraise_termination_request,
     unwrap_factory,
 )
-from cornercase._common.process.signals import count_requests
+from cornercase._common.process.signals import count_termination_requests
 from cornercase._common.text.sanitize import format_exception
 from cornercase._common.validation import not_an_object_error
 
@@ -214,10 +214,10 @@ class Registry(Generic[T]):
         if not text:
             if isinstance(name, str) and name != base:
                 raise InputError(f"The {self._kind} '{name}' ends in a colon; give options as in '{base}:name=value'.")
-            check_options(self._kind, base, factory, options)
+            check_option_names(self._kind, base, factory, options)
             with convert_plugin_errors(f"The {self._kind} '{base}'", unwrap_factory(factory), "when it was created"):
                 return factory(**options)
-        if self.takes_text(base):
+        if self.takes_whole_text(base):
             with convert_plugin_errors(f"The {self._kind} '{name}'", unwrap_factory(factory), "when it was created"):
                 instance: Any = factory(text, **options)
             instance.name = name
@@ -225,7 +225,7 @@ class Registry(Generic[T]):
         # Options fixed by the name, such as a preset, cannot be given.
         given = {*options, *(factory.keywords if isinstance(factory, partial) else ())}
         options |= parse_options(self._kind, base, factory, text, given)
-        check_options(self._kind, base, factory, options)
+        check_option_names(self._kind, base, factory, options)
         with convert_plugin_errors(f"The {self._kind} '{name}'", unwrap_factory(factory), "when it was created"):
             try:
                 configured: Any = factory(**options)
@@ -234,7 +234,7 @@ class Registry(Generic[T]):
         configured.name = name
         return cast(T, configured)
 
-    def takes_text(self, name: str | type[T]) -> bool:
+    def takes_whole_text(self, name: str | type[T]) -> bool:
         """Return whether a factory gets the whole text after the colon of a name as one argument.
 
         Such a text may name a file or a program.
@@ -339,7 +339,7 @@ class Registry(Generic[T]):
             loaded = EntryPoint(name, registered, self._group).load() if isinstance(registered, str) else registered
             return self._check_subclass(name, loaded), options
         for entry in entry_points(group=self._group, name=name):
-            n_requests = count_requests()
+            n_requests = count_termination_requests()
             try:
                 loaded = entry.load()
             except BaseException as error:
@@ -399,7 +399,7 @@ def parse_options(
     return options
 
 
-def check_options(kind: str, name: str, factory: Callable[..., Any], options: Mapping[str, Any]) -> None:
+def check_option_names(kind: str, name: str, factory: Callable[..., Any], options: Mapping[str, Any]) -> None:
     """Raise `InputError` if `options` lack a required option, or contain one that the constructor does not take."""
     try:
         declared = signature(factory)

@@ -18,7 +18,7 @@ from cornercase.exploration._explore_options import OPTIONS
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
-def with_options(*names: str, **defaults: str) -> Callable[[Function], Function]:
+def add_api_options(*names: str, **defaults: str) -> Callable[[Function], Function]:
     """Return a decorator that adds options of the API to a command.
 
     The command gets the values of the options as keyword arguments, parsed as the API takes them. `defaults` names

@@ -12,7 +12,7 @@ import typer
 from cornercase._common.errors import InputError
 from cornercase._common.text.sanitize import shorten
 from cornercase.cli import options as opt
-from cornercase.cli.command_options import with_options
+from cornercase.cli.command_options import add_api_options
 from cornercase.cli.option_names import MAX_LINE_LENGTH, use_option_names
 from cornercase.cli.options import Option, app, out
 
@@ -25,7 +25,7 @@ _Ego = Annotated[str, Option("--ego", metavar="NAME", help="Entity that the syst
 
 
 @app.command(name="check-sut")
-@with_options("space")
+@add_api_options("space")
 def check_sut(
     system: Annotated[
         str, typer.Argument(metavar="SPEC", help="System under test, as for --driver, without the entity.")
@@ -57,7 +57,7 @@ def check_sut(
 
 
 @app.command(name="check-simulator")
-@with_options("space")
+@add_api_options("space")
 def check_simulator(
     simulator: Annotated[str, typer.Argument(metavar="NAME", help="Simulator, with options after a colon.")],
     *,

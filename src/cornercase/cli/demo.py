@@ -9,7 +9,7 @@ import typer
 
 from cornercase._common.errors import InputError
 from cornercase.cli import options as opt
-from cornercase.cli.command_options import with_options
+from cornercase.cli.command_options import add_api_options
 from cornercase.cli.option_names import use_option_names
 from cornercase.cli.options import Option, app, err, out
 from cornercase.cli.profiling import Profile
@@ -23,7 +23,7 @@ _SUITE_SIZE: Final = 20
 
 
 @app.command()
-@with_options("seed", "simulator", "workers")
+@add_api_options("seed", "simulator", "workers")
 def demo(
     name: Annotated[str, typer.Argument(metavar="x-intersection|t-intersection", help="Name of the example.")],
     *,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cornercase.cli import options as opt
-from cornercase.cli.command_options import SectionedCommand, with_options
+from cornercase.cli.command_options import SectionedCommand, add_api_options
 from cornercase.cli.options import Option, app, err, out
 from cornercase.cli.signals import interrupt_exit_code
 from cornercase.simulators._run_options import RUN_OPTIONS
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 @app.command(cls=SectionedCommand)
-@with_options("seed", "drivers", *RUN_OPTIONS, critical="as in the study", simulator="that of the study")
+@add_api_options("seed", "drivers", *RUN_OPTIONS, critical="as in the study", simulator="that of the study")
 def estimate(
     study: opt.StudyFile,
     *,

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from cornercase.cli import options as opt
-from cornercase.cli.command_options import SectionedCommand, with_options
+from cornercase.cli.command_options import SectionedCommand, add_api_options
 from cornercase.cli.config_file import Config
 from cornercase.cli.options import app
 from cornercase.cli.profiling import Profile
@@ -16,7 +16,7 @@ from cornercase.exploration._explore_options import OPTIONS
 
 
 @app.command(cls=SectionedCommand)
-@with_options(*OPTIONS)
+@add_api_options(*OPTIONS)
 def explore(
     scenario: Annotated[
         Path | None,

@@ -10,7 +10,7 @@ import typer
 
 from cornercase._common.errors import InputError
 from cornercase.cli import options as opt
-from cornercase.cli.command_options import with_options
+from cornercase.cli.command_options import add_api_options
 from cornercase.cli.options import Option, app, out
 from cornercase.cli.profiling import Profile
 
@@ -20,7 +20,7 @@ _OPTIMIZER: Final = "bayes:filling=0"
 
 
 @app.command()
-@with_options("seed")
+@add_api_options("seed")
 def paper(
     name: Annotated[str, typer.Argument(metavar="scenario-1|scenario-2", help="Scenario of the paper.")],
     study: Annotated[

@@ -10,12 +10,12 @@ from rich.table import Table
 
 from cornercase._common.io.files import check_output_differs_from_source
 from cornercase.cli import options as opt
-from cornercase.cli.command_options import with_options
+from cornercase.cli.command_options import add_api_options
 from cornercase.cli.options import Option, app, out
 
 
 @app.command()
-@with_options("ego", "other", metrics="all that take no formula")
+@add_api_options("ego", "other", metrics="all that take no formula")
 def measure(
     recording: Annotated[
         Path,
@@ -51,7 +51,7 @@ def measure(
 
 
 @app.command(name="import")
-@with_options("ego", "other", "metrics", "critical")
+@add_api_options("ego", "other", "metrics", "critical")
 def import_(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder with recordings and parameters.csv.")],
     *,

@@ -14,13 +14,13 @@ from cornercase._common.text.sanitize import shorten
 from cornercase._common.version import __version__
 from cornercase.cli import options as opt
 from cornercase.cli import parsing
-from cornercase.cli.command_options import with_options
+from cornercase.cli.command_options import add_api_options
 from cornercase.cli.option_names import MAX_LINE_LENGTH, use_option_names
 from cornercase.cli.options import Option, app, err, out
 
 
 @app.command()
-@with_options("space", "drivers")
+@add_api_options("space", "drivers")
 def check(
     scenarios: opt.ScenarioFiles,
     *,
@@ -158,7 +158,7 @@ def _format_parameter(parameter: Any) -> str:
 
 
 @app.command(name="convert")
-@with_options("ego")
+@add_api_options("ego")
 def convert_scenario(
     scenario: opt.ScenarioFile,
     *,

@@ -11,7 +11,7 @@ from cornercase._common.errors import InputError
 from cornercase._common.io.files import check_output_differs_from_source
 from cornercase.cli import options as opt
 from cornercase.cli import parsing
-from cornercase.cli.command_options import SectionedCommand, with_options
+from cornercase.cli.command_options import SectionedCommand, add_api_options
 from cornercase.cli.options import Option, app, out
 from cornercase.simulators._run_options import SIMULATION_OPTIONS
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 @app.command(cls=SectionedCommand)
-@with_options(*SIMULATION_OPTIONS)
+@add_api_options(*SIMULATION_OPTIONS)
 def simulate(
     scenarios: opt.ScenarioFiles,
     *,

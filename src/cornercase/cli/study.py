@@ -11,13 +11,13 @@ from cornercase._common.errors import InputError
 from cornercase._common.memory import DEFAULT_MEMORY
 from cornercase.cli import options as opt
 from cornercase.cli import parsing
-from cornercase.cli.command_options import with_options
+from cornercase.cli.command_options import add_api_options
 from cornercase.cli.options import Option, app, out
 from cornercase.cli.profiling import Profile
 
 
 @app.command()
-@with_options("cluster")
+@add_api_options("cluster")
 def analyze(
     study: opt.StudyFile,
     *,
@@ -125,7 +125,7 @@ def _write_clustering_settings_page(study: Path, page: Path, by: list[str] | Non
 
 
 @app.command()
-@with_options("cluster", "drivers")
+@add_api_options("cluster", "drivers")
 def reduce(
     study: opt.StudyFile,
     *,

@@ -9,7 +9,7 @@ import typer
 from rich.table import Column, Table
 
 from cornercase.cli import options as opt
-from cornercase.cli.command_options import SectionedCommand, with_options
+from cornercase.cli.command_options import SectionedCommand, add_api_options
 from cornercase.cli.options import Option, app, err, out
 from cornercase.simulators._run_options import RUN_OPTIONS
 
@@ -26,7 +26,7 @@ _OF_MANIFEST: Final = ("ego", "other", "metrics", "simulator", "time_step", "dur
 
 
 @app.command(name="test", cls=SectionedCommand)
-@with_options("drivers", *RUN_OPTIONS, **dict.fromkeys(_OF_MANIFEST, "as in the manifest"))
+@add_api_options("drivers", *RUN_OPTIONS, **dict.fromkeys(_OF_MANIFEST, "as in the manifest"))
 def test_suite(
     suite: Annotated[
         Path,

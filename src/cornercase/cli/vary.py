@@ -12,7 +12,7 @@ import typer
 
 from cornercase._common.errors import InputError
 from cornercase._common.text.sanitize import shorten
-from cornercase.cli.command_options import with_options
+from cornercase.cli.command_options import add_api_options
 from cornercase.cli.options import Maps, ScenarioFile, app, out
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ _MAX_LINE_LENGTH: Final = 80
 
 
 @app.command(name="vary")
-@with_options("vary")
+@add_api_options("vary")
 def vary_scenario(
     scenario: ScenarioFile,
     *,

@@ -9,12 +9,12 @@ import typer
 
 from cornercase._common.memory import DEFAULT_MEMORY
 from cornercase.cli import options as opt
-from cornercase.cli.command_options import with_options
+from cornercase.cli.command_options import add_api_options
 from cornercase.cli.options import Option, app, out
 
 
 @app.command()
-@with_options("drivers", "workers", simulator="that of the study")
+@add_api_options("drivers", "workers", simulator="that of the study")
 def verify(
     study: opt.StudyFile,
     *,

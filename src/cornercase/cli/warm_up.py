@@ -164,7 +164,7 @@ def _iter_runs_by_package(folder: Path) -> Iterator[tuple[str, Callable[[], Any]
     simulate = partial(simulators.simulate, scenario, duration=_DURATION)
     for plugin in drivers.DRIVERS.names():
         # An FMU and a program are files of the user.
-        if not drivers.DRIVERS.takes_text(plugin):
+        if not drivers.DRIVERS.takes_whole_text(plugin):
             yield "drivers", partial(simulate, drivers={"Ego": plugin})
     for plugin in drivers.VEHICLES.names():
         # This driver is not compiled, so that the vehicle's own kernels are.

@@ -29,7 +29,7 @@ class LandmarkDistanceEstimator:
 
     def __init__(self, landmark_distances: FloatArray) -> None:
         self._fit(landmark_distances, _choose_distant(landmark_distances, N_ANCHORS))
-        error = np.abs(self.complete(landmark_distances[:, self.anchors]) - landmark_distances)
+        error = np.abs(self.estimate_to_all_landmarks(landmark_distances[:, self.anchors]) - landmark_distances)
         if np.median(error) > _MAX_ERROR * np.median(landmark_distances):
             # For example, one landmark may be so far away that its distances outweigh all other distances.
             self._fit(landmark_distances, np.arange(len(landmark_distances)))
@@ -43,7 +43,7 @@ class LandmarkDistanceEstimator:
                 to_anchors - self._anchor_means, landmark_distances - self._means, rcond=_DIRECTION_TOLERANCE
             )[0]
 
-    def complete(self, to_anchors: FloatArray) -> FloatArray:
+    def estimate_to_all_landmarks(self, to_anchors: FloatArray) -> FloatArray:
         """Return the distances from scenarios to all landmarks, shape (n, m), given the distances to the anchors.
 
         The given distances are kept in the result; all other distances are estimates.

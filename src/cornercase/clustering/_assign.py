@@ -65,7 +65,9 @@ def assign_to_clusters(study: StudyFile, analysis: Analysis, other_study: StudyF
         to_anchors = comparing.distances_to(np.arange(count), np.arange(count, len(series)))
         model = refit(analysis, landmark_distances)
         reference_clustering = replace(model.result_, labels=analysis.labels[rows])
-        return assign_to_nearest_cluster(model.transform(completion.complete(to_anchors)), reference_clustering)
+        return assign_to_nearest_cluster(
+            model.transform(completion.estimate_to_all_landmarks(to_anchors)), reference_clustering
+        )
     # In single precision, as in `analyze`.
     distances = distance_matrix(series, window=window, dtype="float32").astype(np.float64)
     model = refit(analysis, read_distances(study, analysis.by)[np.ix_(rows, rows)])

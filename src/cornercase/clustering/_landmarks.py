@@ -158,7 +158,9 @@ def _assign_all_to_landmark_clusters(
     try:
         for first in range(0, len(others), _BATCH_SIZE):
             batch = others[first : first + _BATCH_SIZE]
-            to_landmarks = completion.complete(comparer.distances_to(landmarks[completion.anchors], batch))
+            to_landmarks = completion.estimate_to_all_landmarks(
+                comparer.distances_to(landmarks[completion.anchors], batch)
+            )
             embedding[batch] = fitted.transform(to_landmarks)
             labels[batch] = assign_to_nearest_cluster(embedding[batch], clustering)
             coordinates[batch] = embedder.embed(to_landmarks)

@@ -10,7 +10,7 @@ import numpy as np
 
 from cornercase._common.errors import InputError, suggest_name
 from cornercase._common.plugin_errors import reraise_termination_request
-from cornercase._common.process.signals import count_requests
+from cornercase._common.process.signals import count_termination_requests
 from cornercase._common.text.sanitize import format_exception
 from cornercase._common.typing import FloatArray
 from cornercase.clustering._aspects import ASPECTS, EGO_TRAJECTORY, Aspect, Bearing, EgoTrajectory, JointPositions
@@ -103,7 +103,7 @@ def compute_aspect_series(
     """
     # All aspects get the same recording.
     recording = read_only(recording)
-    requests = count_requests()
+    requests = count_termination_requests()
     try:
         values = aspect.series(recording.with_absent_entities([other_entity]), study.meta.ego, other_entity)
     except BaseException as error:

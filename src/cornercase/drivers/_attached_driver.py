@@ -17,7 +17,7 @@ from cornercase._common.plugin_errors import (
     make_scenario_failure,
     reraise_termination_request,
 )
-from cornercase._common.process.signals import count_requests
+from cornercase._common.process.signals import count_termination_requests
 from cornercase._common.text.sanitize import quote_name, remove_folders
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase._common.validation import repr_short
@@ -30,8 +30,8 @@ from cornercase.drivers._parameters import (
     DRIVER,
     VEHICLE,
     must_be_same_in_batch,
+    options_by_scenario,
     parts_by_name,
-    rows_of,
     split_parameters,
 )
 from cornercase.drivers._varied_driver import VariedDriver
@@ -133,7 +133,7 @@ class AttachedDriver:
         """
         self._start = start
         parameters = split_parameters(self._entity, self._given, start.parameters)
-        requests = count_requests()
+        requests = count_termination_requests()
         try:
             sensors = [own for part, own in parameters.items() if part not in (DRIVER, VEHICLE)]
             self._start_driver(replace(self._sensors.start(start, sensors), parameters=parameters[DRIVER]))
@@ -147,7 +147,7 @@ class AttachedDriver:
         self._mover.start(replace(start, parameters=parameters.get(VEHICLE, {})))
 
     def _start_driver(self, start: Start) -> None:
-        options = rows_of(start.parameters, start.scenarios) if start.parameters else []
+        options = options_by_scenario(start.parameters, start.scenarios) if start.parameters else []
         if options and must_be_same_in_batch(self._given, DRIVER):
             self.driver = copy_with_numeric_options(parts_by_name(self._given)[DRIVER], options[0])
         if isinstance(self.driver, DrivingFunction):
@@ -242,7 +242,7 @@ class AttachedDriver:
 
     def _decide(self, situation: Situation) -> Controls:
         """Call the sensors and the driver, which may be user code, and check what the driver returns."""
-        expected, requests = self._start.scenarios, count_requests()
+        expected, requests = self._start.scenarios, count_termination_requests()
         try:
             sensed = self._sensors.perceive(situation)
             returned: object = (

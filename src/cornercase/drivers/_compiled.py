@@ -136,9 +136,9 @@ def is_compiled(driver: Driver) -> TypeGuard[CompiledDriver]:
 
 def compile_fleet_kernels(fleet: Fleet) -> None:
     """Compile the kernels of a fleet's drivers and vehicles; to be called before compiled code uses the fleet."""
-    DRIVER_KERNELS.link(fleet.kind.tolist(), fleet, *DECISION_INPUTS)
+    DRIVER_KERNELS.compile_needed(fleet.kind.tolist(), fleet, *DECISION_INPUTS)
     if len(fleet.vehicles.state):
-        VEHICLE_KERNELS.link(fleet.vehicle_kind.tolist(), fleet.vehicles, *MOTION_INPUTS)
+        VEHICLE_KERNELS.compile_needed(fleet.vehicle_kind.tolist(), fleet.vehicles, *MOTION_INPUTS)
 
 
 def limit_driver_acceleration(

@@ -65,7 +65,9 @@ class LaneChange:
         heading = direction + math.asin(min(max(slope, -1.0), 1.0))
         return on_x - offset * math.sin(direction), on_y + offset * math.cos(direction), heading
 
-    def locate(self, x: float, y: float, heading: float, speed: float, dt: float, response: float) -> PosesOnPath:
+    def advance_and_locate(
+        self, x: float, y: float, heading: float, speed: float, dt: float, response: float
+    ) -> PosesOnPath:
         """Advance the change by a time step `dt` in s, and return the given pose relative to the planned motion.
 
         A controller steers along the planned motion from this. `response` is the time in s by which the wheels lag.

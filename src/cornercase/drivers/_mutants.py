@@ -16,7 +16,7 @@ from cornercase.drivers._equipment import EquippedDriver
 from cornercase.drivers._mutation import Mutation
 from cornercase.drivers._preset_name import nearest_preset_name, preset_parameters
 from cornercase.drivers._registry import SEPARATOR, is_registered_driver, split_spec
-from cornercase.drivers._resolve import driver_by_name, takes_text
+from cornercase.drivers._resolve import driver_by_name, runs_program_or_file
 from cornercase.drivers._serialization import user_driver_spec
 
 MAX_MUTANTS: Final = 1000
@@ -138,7 +138,7 @@ def _mutate_value(mutation: Mutation, value: float, severity: float) -> float:
 
 def _set_driver_option(driver: str, parameter: str, value: float) -> str:
     driver, equipment = split_spec(driver)
-    if takes_text(driver):
+    if runs_program_or_file(driver):
         return SEPARATOR.join([_create_with_file_mutations(driver).spec_with({parameter: value}), *equipment])
     # The name of a class has a colon of its own.
     n_parts = 1 if is_registered_driver(driver) else 2
@@ -180,7 +180,7 @@ def is_user_class_name(name: str) -> bool:
 def _mutations_and_parameters(driver: str) -> tuple[Sequence[Mutation], dict[str, float]]:
     """Return the mutations that are possible in a driver, and the values of its numeric parameters."""
     name, _ = split_spec(driver)
-    if takes_text(name):
+    if runs_program_or_file(name):
         attached = _create_with_file_mutations(name)
         return attached.file_mutations, _mutable_parameters(name, attached)
     if is_registered_driver(name):

@@ -160,7 +160,7 @@ def split_parameters(
     return own
 
 
-def rows_of(parameters: Mapping[str, FloatArray], scenarios: int) -> list[dict[str, float]]:
+def options_by_scenario(parameters: Mapping[str, FloatArray], scenarios: int) -> list[dict[str, float]]:
     """Return the options of each scenario by name, from arrays over the scenarios."""
     return [{name: float(values[n]) for name, values in parameters.items()} for n in range(scenarios)]
 

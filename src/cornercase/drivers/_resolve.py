@@ -12,8 +12,8 @@ from typing import Protocol, TypeAlias, TypeGuard, runtime_checkable
 from cornercase._common.current_folder import import_from_current_folder
 from cornercase._common.errors import InputError, suggest_name
 from cornercase._common.plugin_errors import is_built_in, reraise_termination_request
-from cornercase._common.process.signals import collect_interrupts, count_requests
-from cornercase._common.registry import check_options, parse_options
+from cornercase._common.process.signals import collect_interrupts, count_termination_requests
+from cornercase._common.registry import check_option_names, parse_options
 from cornercase._common.text.sanitize import format_exception
 from cornercase._common.typing import FloatArray
 from cornercase._common.validation import check_mapping, repr_short
@@ -89,7 +89,7 @@ def create_driver_named_in_file(name: str) -> Driver:
     if not is_registered_driver(name):
         hint = suggest_name(name.partition(":")[0], DRIVERS.names())
         raise InputError(f"asks for the driver '{name}', which does not exist; {hint}")
-    if takes_text(name):
+    if runs_program_or_file(name):
         raise InputError(
             f"asks for the driver '{name}'; a program that a file names is not run, so give it yourself with `drivers`."
         )
@@ -106,14 +106,14 @@ def _create_registered(spec: str) -> Driver:
     return equip(DRIVERS.create(name), equipment)
 
 
-def takes_text(name: str) -> bool:
+def runs_program_or_file(name: str) -> bool:
     """Return whether a registered driver runs the program or file that its name contains."""
-    return is_registered_driver(name) and DRIVERS.takes_text(split_spec(name)[0].partition(":")[0])
+    return is_registered_driver(name) and DRIVERS.takes_whole_text(split_spec(name)[0].partition(":")[0])
 
 
 def check_reference_driver(name: str) -> None:
     """Raise `InputError` for a driver that runs a program or file, which a condition of a study may not name."""
-    if takes_text(name):
+    if runs_program_or_file(name):
         raise InputError(f"the driver '{name}' runs a program or file, which no condition may name; give a class.")
 
 
@@ -129,7 +129,7 @@ def may_be_named_in_file(name: str) -> bool:
 def find_non_numeric_option(name: str) -> str | None:
     """Return the first option of a driver whose value is neither a number nor true or false; None without one."""
     driver, equipment = split_spec(name)
-    if takes_text(driver):
+    if runs_program_or_file(driver):
         return driver.partition(":")[2]
     for part in (driver, *equipment):
         options = part.partition(":")[2]
@@ -174,7 +174,7 @@ def load_user_driver(name: str) -> Driver:
         raise InputError(f"The driver '{name}' ends in a colon; give options as in '{class_path}:name=value'.")
     # Otherwise Python would treat a `KeyboardInterrupt` raised by the driver as Ctrl-C.
     with collect_interrupts():
-        requests = count_requests()
+        requests = count_termination_requests()
         try:
             module = import_from_current_folder(module_name)
         except ModuleNotFoundError as error:
@@ -194,7 +194,7 @@ def load_user_driver(name: str) -> Driver:
                 f"The driver '{name}' cannot be loaded since '{module_name}' has no class '{class_name}'; {hint}"
             )
         options = parse_options("driver", class_path, driver_class, text) if text else {}
-        check_options("driver", class_path, driver_class, options)
+        check_option_names("driver", class_path, driver_class, options)
         try:
             driver = driver_class(**options)
         except InputError:

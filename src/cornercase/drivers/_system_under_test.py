@@ -16,7 +16,7 @@ import numpy as np
 from cornercase._common.configurable import Configurable, copy_with_numeric_options, describe_as_text, numeric_options
 from cornercase._common.errors import InputError, PluginError, SimulationError
 from cornercase._common.plugin_errors import format_time_of_failure, make_scenario_failure
-from cornercase._common.process.signals import count_requests
+from cornercase._common.process.signals import count_termination_requests
 from cornercase._common.text.sanitize import quote_name
 from cornercase.drivers._base import Situation
 from cornercase.drivers._controls import Control, Controls
@@ -216,7 +216,7 @@ class PerScenarioDriver(DrivingFunction):
         self._name = f"the driver of {quote_name(body.name)} ({cls.__module__}:{cls.__qualname__})"
         self._objects, self._failures, self._network = [], dict[int, SimulationError](), start.network
         for n in range(start.scenarios):
-            requests = count_requests()
+            requests = count_termination_requests()
             try:
                 made = self._create_object({name: float(values[n]) for name, values in start.parameters.items()})
                 ego = Ego(**vars(body), values=start.values[n])
@@ -246,7 +246,7 @@ class PerScenarioDriver(DrivingFunction):
             if n in self._failures:
                 failures[n] = self._failures[n]
                 continue
-            requests = count_requests()
+            requests = count_termination_requests()
             try:
                 returned: object = self._objects[n].step(View(shared, n), situation.time_step)
             except BaseException as error:

@@ -191,7 +191,7 @@ class VehicleMover:
                 del self._memory.changes[n]
             return pose
         response = float(self._response[n])
-        at = change.locate(x, y, float(begin.heading[n]), float(begin.speed[n]), dt, response)
+        at = change.advance_and_locate(x, y, float(begin.heading[n]), float(begin.speed[n]), dt, response)
         steering[n] = float(steer_along_path(at, begin.speed[n : n + 1], float(self._wheelbase[n]), response)[0])
         if change.has_arrived(float(at.offset[0])):
             del self._memory.changes[n]

@@ -133,7 +133,7 @@ class AsynchronousExplorer(ScenarioExplorer):
     def _submit_rows(self, stream: SimulatorExecutor, rows: Sequence[ScenarioRecord]) -> None:
         for row in rows:
             self._pending[row.id] = row
-            self._submit_scenario(stream, self._runner.start_scenario(row))
+            self._submit_scenario(stream, self._runner.request_first_runs(row))
 
     def _submit_scenario(self, stream: SimulatorExecutor, repeated_run: RepeatedScenario) -> None:
         self._repeated_runs[repeated_run.row.id] = repeated_run

@@ -341,7 +341,7 @@ def _read_simulator_text(meta: StudyMeta, file: Path) -> str:
             f"{file}: was explored with the simulator '{meta.simulator[:100]}', which is not installed here, or which"
             f" was defined in Python code; code that a study names is not run, so {_SIMULATOR_HINT}."
         )
-    is_number = not SIMULATORS.takes_text(name) and all(map(_NUMERIC_OPTION.fullmatch, options.split(",")))
+    is_number = not SIMULATORS.takes_whole_text(name) and all(map(_NUMERIC_OPTION.fullmatch, options.split(",")))
     return meta.simulator if is_number else name
 
 

@@ -44,7 +44,7 @@ class RepeatPolicy:
     def __init__(self, config: ExplorationConfig, objective: Objective) -> None:
         self._config, self._objective = config, objective
 
-    def start_scenario(self, row: ScenarioRecord) -> RepeatedScenario:
+    def request_first_runs(self, row: ScenarioRecord) -> RepeatedScenario:
         """Create the record of a scenario that has not been run; its first `repeats` runs are requested."""
         return RepeatedScenario(row, self._config.repeats)
 

@@ -90,7 +90,7 @@ class ScenarioRunner:
         """
         if not rows:
             return
-        waiting, remaining = list[PendingCondition](), deque(self.start_scenario(row) for row in rows)
+        waiting, remaining = list[PendingCondition](), deque(self.request_first_runs(row) for row in rows)
         while remaining:
             unfinished = deque[RepeatedScenario]()
             for scenario, outcomes in self._run_batch(remaining):
@@ -154,9 +154,9 @@ class ScenarioRunner:
         for _ in results:
             pass
 
-    def start_scenario(self, row: ScenarioRecord) -> RepeatedScenario:
+    def request_first_runs(self, row: ScenarioRecord) -> RepeatedScenario:
         """Create the record of a scenario that has not been run; its first runs are requested."""
-        return self._repeat_policy.start_scenario(row)
+        return self._repeat_policy.request_first_runs(row)
 
     def requested_concrete_scenarios(self, repeated_run: RepeatedScenario) -> list[ConcreteScenario]:
         """Return one concrete scenario for each requested run; they differ in their seeds only."""

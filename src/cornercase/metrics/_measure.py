@@ -11,7 +11,7 @@ import numpy as np
 
 from cornercase._common.errors import InputError, PluginError, hide_input_error_traceback
 from cornercase._common.plugin_errors import is_built_in, make_scenario_failure, user_code_error
-from cornercase._common.process.signals import count_requests
+from cornercase._common.process.signals import count_termination_requests
 from cornercase._common.typing import FloatArray
 from cornercase._common.validation import check_path, repr_short
 from cornercase.metrics._base import Metric
@@ -224,7 +224,7 @@ def _evaluate_against(
 
 def compute_course_and_score(metric: Metric, recording: Recording, ego: str, other: str) -> tuple[FloatArray, float]:
     """Compute course and score of a metric, and check both, since the metric may be third-party code."""
-    part, interrupts = f"the metric {metric.name}", count_requests()
+    part, interrupts = f"the metric {metric.name}", count_termination_requests()
     try:
         course = metric.course(recording if is_built_in(metric) else read_only(recording), ego, other)
         score = metric.score(course)

@@ -41,7 +41,7 @@ class Baselines:
             medoid_gaps = distances[0][self._is_critical][:, find_k_medoids(distances[0], self._size)].min(axis=1)
             self._medoid_distances = float(medoid_gaps.max()), float(medoid_gaps.mean())
 
-    def gap(self, selected: list[int]) -> float:
+    def measure_shortfall(self, selected: list[int]) -> float:
         """Return how far a selection falls short of the baselines; 0 if the selection beats them.
 
         Two shortfalls are added. The first is the amount by which the share of random selections that the selection

@@ -44,7 +44,7 @@ from cornercase.reduction._reduced_set_manifest import make_manifest, save_reduc
 from cornercase.reduction._selection_state import Selected
 from cornercase.reduction._write_files import add_scenario_files, name_concrete_file
 from cornercase.reduction.selection._per_cluster import SCENARIOS_PER_SELECTED
-from cornercase.reduction.selection._select import SelectionInput, SelectionRequest, cross_validate, select
+from cornercase.reduction.selection._select import SelectionInput, SelectionRequest, cross_validate, select_reduced_set
 from cornercase.scenario._file import ScenarioFile
 from cornercase.study import StudyFile
 from cornercase.study._damage import reraise_read_errors
@@ -205,7 +205,7 @@ def reduce(
         if band_names:
             reduced = _replace_clusters_by_bands(reduced, band_names)
         if kill_matrix is not None:
-            without_mutants, _ = select(replace(selection_input, kills=None), request)
+            without_mutants, _ = select_reduced_set(replace(selection_input, kills=None), request)
             reduced = add_mutant_selection(
                 reduced, kill_matrix, [int(analysis.ids[entry.index]) for entry in without_mutants]
             )
@@ -302,7 +302,7 @@ def _select_and_evaluate(
     data: StudyData, analysis: Analysis, selection_input: SelectionInput, request: SelectionRequest, similarity: float
 ) -> tuple[ReducedSet, dict[str, CoverageCurves]]:
     """Select scenarios, with a reason for each, and evaluate the set; also return its coverage curves by aspect."""
-    selected, shaped = select(selection_input, request)
+    selected, shaped = select_reduced_set(selection_input, request)
     ids = analysis.ids.tolist()
     selected_ids = [ids[entry.index] for entry in selected]
     methods = {entry.shape.cluster: entry.shape.method for entry in shaped}

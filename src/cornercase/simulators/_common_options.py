@@ -71,7 +71,7 @@ def _split_simulator_text(text: str) -> tuple[str, dict[str, Any]]:
     Raises `InputError` if the text has the option ``drivers``, since drivers are not texts.
     """
     name, _, after = text.partition(":")
-    if name not in SIMULATORS or SIMULATORS.takes_text(name):
+    if name not in SIMULATORS or SIMULATORS.takes_whole_text(name):
         return text, {}
     parts = after.split(",")
     keys = {part: part.partition("=")[0].strip() for part in parts}

@@ -10,7 +10,7 @@ from typing import Final
 from cornercase._common.errors import InputError, PluginError, SimulationError
 from cornercase._common.io.support_table import Notice
 from cornercase._common.plugin_errors import convert_plugin_errors, make_scenario_failure
-from cornercase._common.process.signals import count_requests
+from cornercase._common.process.signals import count_termination_requests
 from cornercase._common.text.element_locations import remove_file_prefix
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario, Value
@@ -47,7 +47,7 @@ def run_scenarios_as_given(simulator: Simulator, concretes: Sequence[ConcreteSce
     results: Iterator[object] | None = None
     last = len(concretes) - 1
     for k in range(len(concretes)):
-        result, requests_before = _NO_RESULT, count_requests()
+        result, requests_before = _NO_RESULT, count_termination_requests()
         try:
             if results is None:
                 results = iter(simulator.run(concretes))

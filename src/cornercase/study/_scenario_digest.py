@@ -122,7 +122,7 @@ def make_digest(
     whole = {name: course for name, course in courses.items() if len(course) == n_instants}
     missing = np.full(n_instants, math.nan)
     lines = np.full((len(meta.metrics), COURSE_POINTS), math.nan)
-    metrics = create_metrics(meta) if metrics is None else metrics
+    metrics = create_metrics_if_known(meta) if metrics is None else metrics
     clipped = {metric.name: metric.clip_course(whole.get(metric.name, missing)) for metric in metrics}
     for line, metric in zip(lines, metrics, strict=False):
         if metric.name in whole:
@@ -169,7 +169,7 @@ def _compute_series(recording: Recording, meta: StudyMeta, instants: IntArray, p
     return np.hstack(columns)[instants]
 
 
-def create_metrics(meta: StudyMeta) -> tuple[Metric, ...]:
+def create_metrics_if_known(meta: StudyMeta) -> tuple[Metric, ...]:
     """Create the metrics of a study; return an empty tuple if any metric is unknown."""
     try:
         return meta.create_metrics()

@@ -41,7 +41,7 @@ from cornercase.study._scenario_digest import (
     N_STRIDE_RECORDINGS,
     DigestPart,
     ScenarioDigest,
-    create_metrics,
+    create_metrics_if_known,
     decode_collisions,
     decode_digest,
     decode_digest_facts,
@@ -793,7 +793,7 @@ class StudyFile:
             Empty if a metric comes from a package that is not installed.
         """
         if self._metrics is None or self._metrics[0] != self.meta.metrics:
-            self._metrics = self.meta.metrics, create_metrics(self.meta)
+            self._metrics = self.meta.metrics, create_metrics_if_known(self.meta)
         return self._metrics[1]
 
     def lengths_of_first_recordings(self, before: int) -> list[int]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from cornercase._common.errors import InputError
 from cornercase._common.plugin_errors import describe_error, reraise_termination_request
-from cornercase._common.process.signals import collect_interrupts, count_requests
+from cornercase._common.process.signals import collect_interrupts, count_termination_requests
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ def run_checks(checks: Iterable[ContractCheck]) -> Iterator[CheckResult]:
                 causes[check.name] = cause
                 yield CheckResult(check.name, f"It was not run, as it needs '{cause}'.", 0.0, cause)
                 continue
-            begin, requests, not_tried = time.perf_counter(), count_requests(), ""
+            begin, requests, not_tried = time.perf_counter(), count_termination_requests(), ""
             try:
                 check.run()
                 problem = ""

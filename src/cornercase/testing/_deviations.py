@@ -64,7 +64,7 @@ class Deviations:
     end: float  # s, of the end of the recording
 
     @property
-    def size(self) -> float:
+    def largest_relative_deviation(self) -> float:
         """Largest ratio of a deviation to its tolerance, without the end, which some corrections change."""
         return max(float(value) / TOLERANCES[name] for name, value in asdict(self).items() if name != "end")
 
@@ -207,8 +207,8 @@ def find_likely_mistake(own: Recording, expected: Recording) -> str:
     best, cause = np.inf, ""
     for clause, corrected in iter_corrections(own, expected):
         deviations = measure_deviations(corrected, expected)
-        if not deviations.problem and deviations.size < best:
-            best, cause = deviations.size, clause
+        if not deviations.problem and deviations.largest_relative_deviation < best:
+            best, cause = deviations.largest_relative_deviation, clause
     return cause
 
 

@@ -30,7 +30,7 @@ class LateKernels:
         self._kernels: dict[int, Any] = dict(kernels)
         self._result, self._lock = result, Lock()
 
-    def link(self, numbers: Iterable[int], *arguments: Any) -> None:
+    def compile_needed(self, numbers: Iterable[int], *arguments: Any) -> None:
         """Compile the kernels with these numbers, unless they are compiled already, for the types of `arguments`.
 
         Named tuples are passed by reference. A numba type may be given instead of an argument. Numbers without a kernel

@@ -43,7 +43,7 @@ def last_signal() -> signal.Signals:
     return signal.Signals(_last_signal)
 
 
-def count_requests() -> int:
+def count_termination_requests() -> int:
     """Return the number of termination requests received so far; see `is_termination_request`."""
     return _n_requests
 
@@ -51,9 +51,9 @@ def count_requests() -> int:
 def is_termination_request(error: BaseException, n_requests_before: int) -> bool:
     """Return whether an exception of a plug-in was caused by a termination request, and not by the plug-in itself.
 
-    `n_requests_before` is the value of `count_requests` before the plug-in ran. This also works if the plug-in replaced
-    the `KeyboardInterrupt` by another error. Outside `collect_interrupts` requests are not counted; then every
-    `KeyboardInterrupt` counts as a request.
+    `n_requests_before` is the value of `count_termination_requests` before the plug-in ran. This also works if the
+    plug-in replaced the `KeyboardInterrupt` by another error. Outside `collect_interrupts` requests are not counted;
+    then every `KeyboardInterrupt` counts as a request.
     """
     if threading.current_thread() is not threading.main_thread():
         return False

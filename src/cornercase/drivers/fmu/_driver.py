@@ -238,7 +238,7 @@ class FmuDriver(DrivingFunction):
         if self._failure is not None:
             return self._fail_all(self._failure, situation)
         inputs = self._map.fill_inputs(Traffic(situation, self._start.body, self._start.network))
-        messages = [] if self._traffic is None else self._traffic.write(situation)
+        messages = [] if self._traffic is None else self._traffic.encode_messages(situation)
         try:
             failed = self._processes.step(situation.active, inputs, messages)
         except FmuProcessError as error:
@@ -312,7 +312,7 @@ class FmuDriver(DrivingFunction):
             if row in failed:
                 continue
             try:
-                motion = self._traffic.read(messages[row][0], situation, row)
+                motion = self._traffic.decode_motion(messages[row][0], situation, row)
             except UnusableMotionError as error:
                 unusable[row] = f"failed: {error}"
                 continue

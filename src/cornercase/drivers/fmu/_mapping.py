@@ -28,7 +28,7 @@ from cornercase.drivers.fmu._input_quantities import (
 from cornercase.drivers.fmu._model import FmuModel, FmuVariable
 from cornercase.drivers.fmu._osmp_map import OsmpMap
 from cornercase.drivers.fmu._processes import TableLayout
-from cornercase.drivers.fmu._variable_units import KNOWN_UNITS, SI, Unit, fits
+from cornercase.drivers.fmu._variable_units import KNOWN_UNITS, SI, Unit, has_same_dimension
 
 _PEDALS: Final = ("throttle", "brake")
 _INPUT_KEYS: Final = ("from", "none", "unit", "factor")
@@ -294,7 +294,7 @@ class VariableMap:
                 f"{where}: '{variable.name}' has the unit '{name}', whose meaning the FMU does not define; define the"
                 " unit in the FMU by base units."
             )
-        if not fits(unit, symbol):
+        if not has_same_dimension(unit, symbol):
             raise InputError(f"{where}: '{variable.name}' has the unit '{name}', which does not fit {symbol}.")
         return unit, ""
 

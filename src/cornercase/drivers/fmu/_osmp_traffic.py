@@ -46,7 +46,7 @@ class OsmpTraffic:
         ]
         """OSI messages that are passed once, before the first step; the same in all scenarios."""
 
-    def write(self, situation: Situation) -> list[list[bytes]]:
+    def encode_messages(self, situation: Situation) -> list[list[bytes]]:
         """Return the OSI messages that the FMU is given, by scenario; empty bytes in scenarios that are not active."""
         if not self._osmp.inputs:
             return [[]] * len(situation.active)
@@ -58,7 +58,7 @@ class OsmpTraffic:
             for row, is_active in enumerate(situation.active.tolist())
         ]
 
-    def read(self, message: bytes, situation: Situation, row: int) -> Trajectory | float:
+    def decode_motion(self, message: bytes, situation: Situation, row: int) -> Trajectory | float:
         """Decode the FMU's OSI message in scenario `row`: a trajectory, or an acceleration along the heading in m/s².
 
         Empty bytes mean no message: the acceleration is 0. Raises `UnusableMotionError`.

@@ -331,7 +331,7 @@ class _Process:
         self._log.seek(max(size - _MAX_LOG_BYTES, 0))
         return self._log.read().decode(errors="replace").splitlines()
 
-    def look(self) -> tuple[bool, tuple[int, int]]:
+    def read_progress(self) -> tuple[bool, tuple[int, int]]:
         """Return whether a request is pending, and numbers that change while the process makes progress."""
         progress = 0 if self._memory is None else int(self._progress[0])
         with suppress(OSError, ValueError):
@@ -352,7 +352,7 @@ def _kill_when_hung(reference: weakref.ref[_Process], timeout: float) -> None:
         process = reference()
         if process is None or not process.is_usable:
             return
-        is_busy, current = process.look()
+        is_busy, current = process.read_progress()
         now = time.monotonic()
         if not is_busy or current != mark:
             mark, since = current, now

@@ -54,7 +54,7 @@ KNOWN_UNITS: Final[Mapping[str, Unit]] = {
 """Known units by symbol, for FMUs that name a unit without defining it."""
 
 
-def fits(unit: Unit, symbol: str) -> bool:
+def has_same_dimension(unit: Unit, symbol: str) -> bool:
     """Return whether a unit has the same dimension as the SI unit `symbol`; radians count as dimensionless."""
     (*length_time, _), (*expected, _) = unit.exponents, SI[symbol].exponents
     return length_time == expected

@@ -295,7 +295,7 @@ class ProcessFunction(DrivingFunction):
             "columns": [*COLUMNS],
         }
         try:
-            self._read_hello(peer.ask(hello, self._start_timeout))
+            self._read_hello(peer.request_answer(hello, self._start_timeout))
         except ProtocolError as error:
             self.close()
             raise InputError(f"{where} cannot be used: {error}.") from error
@@ -360,7 +360,7 @@ class ProcessFunction(DrivingFunction):
     def _request_answer(self, message: Mapping[str, Any], expected: str, timeout: float, time: float) -> dict[str, Any]:
         assert self._peer is not None
         try:
-            answer = self._peer.ask(message, timeout)
+            answer = self._peer.request_answer(message, timeout)
             if answer.get("type") != expected:
                 raise ProtocolError(f"it answered with the type {answer.get('type')!r}, not {expected!r}")
         except ProtocolError as error:

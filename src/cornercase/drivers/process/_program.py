@@ -51,7 +51,7 @@ class Peer(ABC):
         self._watchdog = Thread(target=self._enforce_deadline, daemon=True, name="time limit of a driver")
         self._watchdog.start()
 
-    def ask(self, message: Mapping[str, Any], timeout: float) -> dict[str, Any]:
+    def request_answer(self, message: Mapping[str, Any], timeout: float) -> dict[str, Any]:
         """Send a message and return the answer; `ProtocolError` if no answer comes within `timeout` s."""
         self._deadline = time.monotonic() + timeout
         try:

@@ -111,8 +111,8 @@ def select_scenarios(
     baselines = Baselines(distances, labels, critical_clusters, size) if len(labels) <= _MAX_EXCHANGED else None
     best, smallest_shortfall = base.selected, np.inf
     for composition in _COMPOSITIONS:
-        completed = task.complete(base, composition)
-        shortfall = baselines.gap(completed.indices) if baselines else 0.0
+        completed = task.complete_selection(base, composition)
+        shortfall = baselines.measure_shortfall(completed.indices) if baselines else 0.0
         if shortfall < smallest_shortfall:
             best, smallest_shortfall = completed.selected, shortfall
         if shortfall == 0.0:
@@ -160,7 +160,7 @@ class _SelectionTask:
     sampled_from: int
     max_in_memory: int
 
-    def complete(self, base: Selection, composition: SetComposition) -> Selection:
+    def complete_selection(self, base: Selection, composition: SetComposition) -> Selection:
         """Return a copy of the selection `base`, with archetypes and scenarios far from all selected ones added."""
         selection = base.copy()
         labels = self.labels

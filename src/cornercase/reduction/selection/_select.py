@@ -65,7 +65,7 @@ class SelectionInput:
         )
 
 
-def select(
+def select_reduced_set(
     selection_input: SelectionInput, request: SelectionRequest
 ) -> tuple[tuple[Selected, ...], tuple[ShapedCluster, ...]]:
     """Select scenarios for a reduced set, in order.
@@ -126,7 +126,7 @@ def cross_validate(selection_input: SelectionInput, request: SelectionRequest) -
     with progress_step(len(parts), "choosing", "sets, to judge the choice") as update_progress:
         for held_out in parts:
             rows = np.setdiff1d(indices, held_out)
-            selected, _ = select(selection_input.subset(rows), request)
+            selected, _ = select_reduced_set(selection_input.subset(rows), request)
             folds.append(Fold(rows, rows[[scenario.index for scenario in selected]], held_out))
             update_progress(len(folds))
     return folds

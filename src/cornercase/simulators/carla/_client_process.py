@@ -53,7 +53,7 @@ class ClientProcess:
         # Ends the program even if `close` is never called.
         self.close = finalize(self, _end_program, self._process, self._errors)
 
-    def ask(self, method: str, *arguments: object) -> Any:
+    def call_method(self, method: str, *arguments: object) -> Any:
         """Call a method of the client and return its result; raise `ClientError` if the client reports an error."""
         assert self._process.stdin is not None
         assert self._process.stdout is not None
@@ -118,7 +118,7 @@ def find_client_version(environment: RunnerEnvironment) -> str:
     """Return the version of CARLA's client in ScenarioRunner's Python; `InputError` if it does not run there."""
     client = ClientProcess(environment)
     try:
-        return str(client.ask("get_version"))
+        return str(client.call_method("get_version"))
     except SimulatorError as error:
         # No server is asked, so it is the installation.
         raise InputError(

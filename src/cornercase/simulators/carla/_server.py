@@ -43,7 +43,7 @@ class CarlaServer:
         self._client = client = ClientProcess(environment)
         try:
             try:
-                versions = client.ask("connect", self.host, self.port, self.patience)
+                versions = client.call_method("connect", self.host, self.port, self.patience)
             except ClientError as error:
                 if has_answered:
                     raise SimulatorError(f"CARLA on {self._address} answers no longer: {error}") from error
@@ -116,6 +116,6 @@ class CarlaServer:
         if self._client is None:
             raise SimulatorError(f"CARLA on {self._address} is gone")
         try:
-            return self._client.ask(method, *arguments)
+            return self._client.call_method(method, *arguments)
         except ClientError as error:
             raise SimulatorError(f"CARLA on {self._address}: {error}") from error

@@ -102,7 +102,7 @@ def longitudinal_grip(vehicles, n, grip, lateral, time_step):
 
 
 @plain_kernel
-def advance(vehicles, n, which, limit, begin, duration, time_step):
+def advance_actuator(vehicles, n, which, limit, begin, duration, time_step):
     """Advance an actuator from `begin` s after the start of the step by `duration` s; return the integral of its value.
 
     `which` is `ACCELERATION` or `STEERING`; the value stays within `limit` of 0.
@@ -172,7 +172,7 @@ def change_speed(vehicles, n, speed, acceleration, request, friction, time_step)
     """
     begin_step(vehicles, n, speed, acceleration, request, 0.0)
     grip = vehicles.parameters[n, MU] * friction * GRAVITY
-    gain = advance(vehicles, n, ACCELERATION, grip, 0.0, time_step, time_step)
+    gain = advance_actuator(vehicles, n, ACCELERATION, grip, 0.0, time_step, time_step)
     speed, _ = speed_after(speed, gain, vehicles.parameters[n, MAX_SPEED])
     end_step(vehicles, n, speed)
     return speed

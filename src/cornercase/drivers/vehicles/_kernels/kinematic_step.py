@@ -22,7 +22,7 @@ from cornercase.drivers.vehicles._kernels.actuators import (
     STEERING_DELAY,
     STEERING_LAG,
     WHEELBASE,
-    advance,
+    advance_actuator,
     begin_step,
     end_step,
     longitudinal_grip,
@@ -71,8 +71,8 @@ def move_without_slip(vehicles, n, motion, grip, begin, duration, time_step):
     speed = motion[SPEED]
     lateral = speed * speed * math.tan(state[STEERING]) / wheelbase
     limit = longitudinal_grip(vehicles, n, grip, lateral, time_step)
-    gain = advance(vehicles, n, ACCELERATION, limit, begin, duration, time_step)
-    steering = advance(vehicles, n, STEERING, parameters[MAX_STEERING], begin, duration, time_step) / duration
+    gain = advance_actuator(vehicles, n, ACCELERATION, limit, begin, duration, time_step)
+    steering = advance_actuator(vehicles, n, STEERING, parameters[MAX_STEERING], begin, duration, time_step) / duration
     motion[SPEED], moving = speed_after(speed, gain, parameters[MAX_SPEED])
     mean = 0.5 * (speed + motion[SPEED])
     curvature = math.tan(steering) / wheelbase

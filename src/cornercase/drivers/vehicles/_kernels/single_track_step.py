@@ -19,7 +19,7 @@ from cornercase.drivers.vehicles._kernels.actuators import (
     VELOCITY,
     WHEELBASE,
     YAW_RATE,
-    advance,
+    advance_actuator,
     begin_step,
     end_step,
     longitudinal_grip,
@@ -101,8 +101,8 @@ def _move_with_slip(vehicles, n, motion, grip, begin, duration, time_step):
     speed, slip, yaw_rate = state[VELOCITY], state[SLIP], state[YAW_RATE]
     lateral = speed * speed * math.tan(state[STEERING]) / parameters[WHEELBASE]
     limit = longitudinal_grip(vehicles, n, grip, lateral, time_step)
-    gain = advance(vehicles, n, ACCELERATION, limit, begin, duration, time_step)
-    steering = advance(vehicles, n, STEERING, parameters[MAX_STEERING], begin, duration, time_step) / duration
+    gain = advance_actuator(vehicles, n, ACCELERATION, limit, begin, duration, time_step)
+    steering = advance_actuator(vehicles, n, STEERING, parameters[MAX_STEERING], begin, duration, time_step) / duration
     end, moving = speed_after(speed, gain, parameters[MAX_SPEED])
     h, course = moving * duration, motion[HEADING] + slip
     axles = _axle_force_limits(parameters, grip, gain / duration)

@@ -442,7 +442,7 @@ def compile_action_kernels(
 ) -> None:
     """Compile the kernels that the actions in a table need; call this before compiled code applies actions."""
     kinds = types.int64, types.int64, types.float64
-    ACTION_KERNELS.link(actions.options[:, 0].tolist(), scene, tracks, roads, actions, *kinds)
+    ACTION_KERNELS.compile_needed(actions.options[:, 0].tolist(), scene, tracks, roads, actions, *kinds)
 
 
 @kernel(interpreted_seconds=lambda *arguments: 5e-5 * arguments[4].size, error_model="numpy")

@@ -345,7 +345,7 @@ _FREQUENT_KINDS: Final = (
 def compile_condition_kernel(scene: SimulationState, table: ConditionTable) -> None:
     """Compile the kernel of less frequent conditions if the table has any; call this before a compiled run."""
     are_needed = not set(table.codes[:, 0].tolist()).issubset(_FREQUENT_KINDS)
-    _REMAINING_KERNEL.link([0] if are_needed else [], scene, table, types.int64, types.int64)
+    _REMAINING_KERNEL.compile_needed([0] if are_needed else [], scene, table, types.int64, types.int64)
 
 
 @_kernel
