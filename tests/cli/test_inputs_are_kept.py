@@ -72,5 +72,5 @@ def test_clusters_that_are_kept_take_no_settings(tmp_path):
 
 def test_an_entity_is_not_measured_against_itself(scenario):
     recording = cc.simulate(scenario, duration=1.0)
-    with pytest.raises(cc.InputError, match="`other` Ego: is the ego itself"):
+    with pytest.raises(cc.InputError, match="`other` Ego: this is the ego itself"):
         cc.measure(recording, "Ego", "Ego", "wttc")

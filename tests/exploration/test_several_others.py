@@ -131,7 +131,7 @@ def test_a_study_of_one_other_is_as_it_was(scenario, tmp_path):
     ("other", "words"),
     [
         (["Slow", "Slwo"], "has no entity 'Slwo' to be the other; did you mean 'Slow'"),
-        (["Slow", "Ego"], "`other` Ego: is the ego itself"),
+        (["Slow", "Ego"], "`other` Ego: this is the ego itself"),
         ([], "`other` is empty"),
     ],
 )
@@ -189,5 +189,5 @@ def test_the_command_line_takes_several(study, tmp_path):
     refused = cornercase("measure", recording, "--ego", "Ego", "--other", "Slow", "--other", "Ego", *given)
     assert (refused.returncode, refused.stderr) == (
         2,
-        "cornercase: --other Ego: is the ego itself; name the entity that it meets.\n",
+        "cornercase: --other Ego: this is the ego itself; name the entity that the ego meets.\n",
     )

@@ -93,8 +93,8 @@ def test_a_measurement_names_whom_it_is_against_only_where_there_are_several():
     [
         ("Ahed", "no entity 'Ahed'; did you mean 'Ahead'?"),
         (["Ahead", "Beyond"], "no entity 'Beyond'"),
-        ("Ego", "`other` Ego: is the ego itself"),
-        (["Ahead", "Ego"], "`other` Ego: is the ego itself"),
+        ("Ego", "`other` Ego: this is the ego itself"),
+        (["Ahead", "Ego"], "`other` Ego: this is the ego itself"),
         ([], "`other` is empty"),
         (3, "`other` 3: give a list of texts"),
     ],
@@ -110,7 +110,9 @@ def test_names_are_taken_once_and_a_star_is_everybody_else():
     assert resolve_others("*", "Ego", ("A", "Ego", "B")) == ("A", "B")
     assert resolve_others(["B", "*"], "Ego", ("A", "Ego", "B")) == ("B", "A")
     assert resolve_others("A,B", "Ego", ("A,B", "A", "B", "Ego")) == ("A,B",)
-    with pytest.raises(InputError, match="`other` A, B: is not an entity; give several entities one by one"):
+    with pytest.raises(
+        InputError, match="`other` A, B: this is a list, not the name of an entity; give each entity by itself"
+    ):
         resolve_others("A, B", "Ego", ("A", "Ego", "B"))
     with pytest.raises(InputError, match="there is no entity besides Ego"):
         resolve_others("*", "Ego", ("Ego",))

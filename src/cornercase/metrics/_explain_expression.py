@@ -36,7 +36,10 @@ from cornercase.recordings import Collision, Recording
 
 
 class Reason(NamedTuple):
-    """Reason why an expression is fulfilled or not: sentence without a period, decisive time in s, and value."""
+    """Reason why an expression is fulfilled or not.
+
+    `text` is a sentence without full stop. `time` in s is the decisive instant, and `value` the compared value then.
+    """
 
     text: str
     time: float | None = None
@@ -46,7 +49,7 @@ class Reason(NamedTuple):
 def explain(evaluation: Evaluation, reference_texts: Mapping[str, str]) -> Reason:
     """Explain why an expression is fulfilled or not.
 
-    `reference_texts` maps the name of a reference driver to a sentence on whether this driver collides.
+    `reference_texts` maps the name of each reference driver to a sentence that says whether the driver collides.
     """
     root, fulfilled = evaluation.root, evaluation.is_fulfilled()
     bounds = {leaf: values for leaf, values in evaluation.leaves.items() if isinstance(leaf, Bound)}

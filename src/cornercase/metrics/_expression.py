@@ -83,7 +83,7 @@ class Expression:
         Raises
         ------
         InputError
-            The text is no expression, or no text; the message marks the position and says what to write there.
+            `text` is no str or no expression. The message marks the position of the error and says what to write.
         """
         if not isinstance(text, str):
             raise InputError(f"`text` {repr_short(text)}: give a text.")
@@ -124,16 +124,16 @@ class Expression:
     def unit(self) -> str:
         """Unit of the robustness: the common unit of all parts, or ``"1"`` if their units differ.
 
-        Statements on collisions, positions and distances are in m.
+        The robustness of a statement on a collision, a position or a distance is in m.
         """
         units = [unit for _, unit in self.compared_units]
         return units[0] if len(set(map(normalize_unit, units))) == 1 else "1"
 
     @property
     def compared_units(self) -> tuple[tuple[str, str], ...]:
-        """Metric and unit of each bound or statement that has a margin, as pairs.
+        """Pairs of metric and unit for each bound and statement, except statements on reference drivers.
 
-        The metric is empty for a statement, and for a bound on a signal that is no metric.
+        The metric is the empty string for a statement, and for a bound on a signal that is no metric.
         """
         return tuple(
             (leaf.left.metric, leaf.left.unit) if isinstance(leaf, Bound) else ("", "m")
@@ -143,9 +143,9 @@ class Expression:
 
     @property
     def cap(self) -> float:
-        """Upper limit of the robustness: the largest limit of any bound or statement.
+        """Value to which the metric `Stl` limits the robustness: the largest cap of any bound or statement.
 
-        The limit of a bound on a metric is the distance of the bound from the metric's cap.
+        If a bound compares a metric with a number, its cap is the distance of the number from the cap of the metric.
         """
         return max(map(_cap_of_leaf, self.leaves))
 
@@ -177,14 +177,14 @@ class Expression:
         Returns
         -------
         ndarray of float64, shape (T,)
-            Positive if the expression holds, negative if it is violated, in `unit`: every bound can change by this
-            amount at every instant before the verdict changes. inf if nothing can violate it, -inf if nothing can
-            fulfil it.
+            Positive if the expression holds, negative if it is violated, in `unit`. The verdict stays the same as long
+            as each compared signal changes by less than this amount. inf if no change of the signals can violate the
+            expression, -inf if no change can fulfil it.
 
         Raises
         ------
         InputError
-            The expression has a statement on a recording, and `signals` has no recording.
+            The expression has a statement that needs a recording, such as ``collision``, and `signals` has none.
         """
         return Evaluation.from_signals(self.root, signals).robustness()
 

@@ -102,9 +102,10 @@ class FeatureGroup(ABC):
 class NearestApproach(FeatureGroup):
     """State at the first instant at which the boxes of the ego and the other entity are nearest to each other.
 
-    ``nearest-ahead`` and ``nearest-left`` are the position of the other entity in the ego's frame. ``nearest-cos`` and
-    ``nearest-sin`` are cosine and sine of its heading in this frame. ``nearest-way`` is the distance that the ego has
-    driven until then. If both entities never exist at the same time, the gap is 100 m.
+    ``nearest-ahead`` and ``nearest-left`` say how far the other entity is ahead of the ego and to the left of the ego.
+    ``nearest-cos`` and ``nearest-sin`` are cosine and sine of the heading of the other entity relative to the ego's.
+    ``nearest-way`` is the distance that the ego has driven until this instant. If both entities never exist at the same
+    time, ``least-clearance`` is 100 m.
     """
 
     name = "nearest-approach"
@@ -150,8 +151,8 @@ class NearestApproach(FeatureGroup):
 class Approach(FeatureGroup):
     """State at the first instant at which the centres are less than 40 m apart, else when they are nearest.
 
-    An entity has usually not reacted yet at this instant, so the state depends smoothly on the parameters of the
-    scenario. The consequences of a reaction can jump.
+    At this instant, the entities have usually not reacted to each other yet. So the state changes smoothly with the
+    parameters of the scenario, whereas a reaction can start or be absent after a small change of a parameter.
     """
 
     name = "approach"
@@ -171,7 +172,7 @@ class Approach(FeatureGroup):
 class EgoBraking(FeatureGroup):
     """State of the ego when it first brakes with nine tenths of its strongest deceleration.
 
-    If the ego never brakes, this is its state at the end.
+    If the ego never brakes, the features are its state at the last instant.
     """
 
     name = "braking"
@@ -187,7 +188,7 @@ class EgoBraking(FeatureGroup):
 class OtherMotion(FeatureGroup):
     """Highest speed of the other entity and its time, and the distance driven until the entity brakes hardest.
 
-    All are 0 if the other entity never exists.
+    All three features are 0 if the other entity never exists.
     """
 
     name = "other"
@@ -213,8 +214,8 @@ class OtherMotion(FeatureGroup):
 class PathCrossing(FeatureGroup):
     """Distance between the nearest points of both paths, and how much later than the other the ego gets there.
 
-    The nearest points are the two points with the least sum of their distance in m and 0.1 times the time in s between
-    both entities. So the time decides between points that are equally near.
+    A pair of points, one on each path, is rated by its distance in m plus 0.1 m for each second between the arrivals of
+    both entities. The pair with the least sum counts. So the time decides between pairs that are about equally near.
     """
 
     name = "crossing"
@@ -298,7 +299,8 @@ class WholeRecording(FeatureGroup):
 def _instant_of_strongest_braking(accelerations: FloatArray, instants: IntArray) -> int:
     """Return the first of `instants` at which an entity brakes with at least 0.9 times its strongest deceleration.
 
-    If the entity never brakes, return the last of `instants`.
+    The factor 0.9 finds the beginning of hard braking, even if the deceleration still rises a little. If the entity
+    never brakes, return the last of `instants`.
     """
     braking = np.nan_to_num(-accelerations[instants])
     strongest = float(braking.max())
@@ -392,7 +394,7 @@ def _create_feature_groups() -> list[FeatureGroup]:
 
 @cache
 def _create_group(name: str, _factory: Callable[..., FeatureGroup]) -> FeatureGroup:
-    """Create a group once, since creating it takes as long as computing its features of one recording."""
+    """Create a group of features once: creating a group takes as long as computing its features for a recording."""
     return FEATURES.create(name)
 
 

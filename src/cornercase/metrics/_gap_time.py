@@ -14,10 +14,10 @@ from cornercase.recordings import Recording
 class GapTime(Metric):
     """Difference of the times at which both entities reach the crossing of their tracks at present speeds.
 
-    ``|d / v - d_other / v_other|`` in s. d and d_other are the distances of the centres to the crossing, as in
-    `TrajectoryDistance`. The value is 0 if both arrive together, and inf if at least one of them stands. Not defined if
-    no crossing lies ahead of both, if the tracks do not cross, or if one of the two does not exist. Least critical
-    value (cap): 10 s.
+    ``|d / v - d_other / v_other|`` in s. d and d_other are the distances from the centres of the ego's and the other's
+    box to the crossing along the tracks, as in `TrajectoryDistance`; v and v_other are the present speeds. The value is
+    0 if both arrive together, and inf if at least one of them stands. Not defined if no crossing lies ahead of both, if
+    the tracks do not cross, or if one of the two does not exist. Least critical value (cap): 10 s.
 
     Source: gap time, B. L. Allen, B. T. Shin, P. J. Cooper, "Analysis of traffic conflicts and collisions",
     Transportation Research Record 667 (1978), predicted with constant speeds.
@@ -56,9 +56,9 @@ class GapTime(Metric):
 class SquaredGapTime(GapTime):
     """Difference of the squared times at which both entities reach the crossing of their tracks.
 
-    ``|t² - t_other²|`` in s², with the times t and t_other until the ego and the other entity reach the crossing. This
-    is the gap time multiplied by the sum of both times, so the same gap time is more critical if both arrive sooner.
-    Times, special values and undefined cases are the same as for `GapTime`. Least critical value (cap): 100 s².
+    ``|t² - t_other²|`` in s², with the times t and t_other until the ego and the other entity reach the crossing. The
+    value is the gap time multiplied by the sum of both times, so the same gap time is more critical if both arrive
+    sooner. Times, special values and undefined cases are the same as for `GapTime`. Least critical value (cap): 100 s².
 
     Source: squared predicted relative encroachment time, as in Westhofen et al. 2023.
 

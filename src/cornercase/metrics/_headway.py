@@ -83,10 +83,11 @@ class Thw(Metric):
 class Pttc(Metric):
     """Potential time to collision: the entity ahead keeps its acceleration until it stands, the ego keeps its speed.
 
-    The smallest t >= 0 in s with ``gap = (v - v_other) t - a_other t² / 2``. An entity that brakes stays where it
-    stops. The value is 0 if the boxes touch, and inf if the ego never reaches the other entity. If the other entity
-    drives at constant speed, the value is the time to collision. A standing entity is an obstacle. Not defined if the
-    other entity is not ahead of the ego, or one of the two does not exist. Least critical value (cap): 10 s.
+    The smallest t >= 0 in s with ``gap = (v - v_other) t - a_other t² / 2``, with the speeds v of the ego and v_other
+    of the entity ahead, and its acceleration a_other. An entity that brakes to a stop does not move backwards. The
+    value is 0 if the boxes touch, and inf if the ego never reaches the other entity. If the other entity drives at
+    constant speed, the value is the time to collision. A standing entity is an obstacle. Not defined if the other
+    entity is not ahead of the ego, or one of the two does not exist. Least critical value (cap): 10 s.
 
     Source: H. Wakabayashi et al., "Traffic conflict analysis using vehicle tracking system/digital VCR and proposal of
     a new conflict indicator", Infrastructure Planning Review 20 (2003). Here, a braking leader stops, and does not

@@ -20,11 +20,12 @@ _EDGES = ("lane", "road")
 class LaneMargin(Metric):
     """Distance in m from the outermost corner of the ego's box to the edge of its lane; negative beyond it.
 
-    The lane is the drivable lane below the centre of the box, preferably with traffic in the ego's direction. If lanes
-    overlap, as in junctions, the lane with the largest distance counts; without a lane, the nearest. The other entity
-    does not matter. Not defined if the roads are unknown, or if the ego does not exist. Recordings of simulated runs
-    know their roads; for a recording from a file, give the roads with ``roads``. Least critical value (cap): 2 m; most
-    critical value: -10 m.
+    The lane of the ego is the drivable lane below the centre of its box. If several lanes overlap there, as in
+    junctions, lanes for traffic in the ego's direction are preferred, and among these the lane with the largest
+    distance counts. If there is no lane below the centre, the nearest lane counts. The other entity does not matter.
+    Not defined if the roads are unknown, or if the ego does not exist. Recordings of simulated runs know their roads;
+    for a recording from a file, give the roads with ``roads``. Least critical value (cap): 2 m; most critical value:
+    -10 m.
 
     Source: distance to the lane boundary, as for lane departure warning in ISO 17361:2017.
 

@@ -127,8 +127,8 @@ def measure(
         Entities to measure against; ``"*"`` stands for all but the ego. With several entities, each metric takes the
         most critical value.
     metrics : Metric or str, or sequence of these, optional
-        By name, with options after a colon, as in ``"ttc:accelerating=true"``, or as objects, also of your own class.
-        By default all registered metrics that need no option.
+        A metric is given as its name, with options after a colon, such as ``"ttc:accelerating=true"``, or a `Metric`
+        object, which can be of your own class. By default all registered metrics that need no option.
 
     Returns
     -------
@@ -183,8 +183,9 @@ def measure(
 class MetricResult(NamedTuple):
     """Course and score of a metric; with several other entities, the most critical values.
 
-    `against` is the name of the other entity that the score comes from, the first one if several give this score. It is
-    None if there is only one other entity, if the score is the cap, or if all entities give the same result.
+    `against` is the name of the other entity that the score comes from; the first if several entities give this score.
+    `against` is None if there is only one other entity, if the score is the cap, or if all entities give the same
+    result.
     """
 
     course: FloatArray
@@ -197,8 +198,9 @@ def evaluate_metrics(
 ) -> dict[str, MetricResult]:
     """Evaluate metrics on a recording; return the results by name of the metric.
 
-    Other entities that never exist in the recording are skipped. Scores of contacts are adapted by
-    `Metric.score_with_contact`. Raises PluginError if a metric raises an exception or returns no numbers.
+    Other entities that never exist in the recording are skipped. If the ego touches the other entity,
+    `Metric.score_with_contact` adapts the score of a metric that has a `contact_score`. Raises PluginError if a metric
+    raises an exception or returns no numbers.
     """
     named = (other,) if isinstance(other, str) else tuple(other)
     others = present_others(recording, named)
@@ -234,7 +236,7 @@ def compute_course_and_score(metric: Metric, recording: Recording, ego: str, oth
         raise make_scenario_failure(part, error, interrupts) from error
     if not (np.shape(course) == recording.time.shape and _has_real_dtype(course)):
         raise PluginError(
-            f"{part} gave {repr_short(course)} as its course, which is not a number for each of"
+            f"{part} gave {repr_short(course)} as its course; it has to return one number for each of the"
             f" {recording.time.size} instants"
         )
     if not (np.ndim(score) == 0 and _has_real_dtype(score)) or np.isnan(score):

@@ -19,7 +19,7 @@ ALL_OTHERS: Final = "*"
 def resolve_others(other: object, ego: str, entity_names: Sequence[str]) -> tuple[str, ...]:
     """Return the names of the entities that `other` stands for, each once; InputError if `other` is invalid.
 
-    ``"*"`` stands for all of `entity_names` but the ego. Other names need not be in `entity_names`.
+    ``"*"`` stands for all of `entity_names` but the ego. Whether other names are in `entity_names` is not checked.
 
     Examples
     --------
@@ -30,11 +30,11 @@ def resolve_others(other: object, ego: str, entity_names: Sequence[str]) -> tupl
     if not given:
         raise InputError("`other` is empty; name an entity, or * for all but the ego.")
     if ego in given:
-        raise InputError(f"`other` {ego}: is the ego itself; name the entity that it meets.")
+        raise InputError(f"`other` {ego}: this is the ego itself; name the entity that the ego meets.")
     for name in given:
         parts = [part.strip() for part in name.split(",")]
         if name not in entity_names and len(parts) > 1 and set(parts) <= set(entity_names):
-            raise InputError(f"`other` {name}: is not an entity; give several entities one by one.")
+            raise InputError(f"`other` {name}: this is a list, not the name of an entity; give each entity by itself.")
     everyone = [name for name in entity_names if name != ego]
     if ALL_OTHERS in given and not everyone:
         raise InputError(f"`other` {ALL_OTHERS}: there is no entity besides {ego}; add another one to the scenario.")
@@ -42,7 +42,7 @@ def resolve_others(other: object, ego: str, entity_names: Sequence[str]) -> tupl
 
 
 def present_others(recording: Recording, others: Sequence[str]) -> tuple[str, ...]:
-    """Return the entities among `others` that exist at any instant of the recording, in the same order.
+    """Return the entities among `others` that exist at least at one instant of the recording, in the same order.
 
     If none of them exists, return the first of `others` that is named in the recording, or else the first of `others`.
     """
@@ -52,7 +52,7 @@ def present_others(recording: Recording, others: Sequence[str]) -> tuple[str, ..
 
 
 def nearest_other(recording: Recording, ego: str, other: str | Sequence[str]) -> str:
-    """Return the entity among `other` that the ego collides with first.
+    """Return the entity, of those named in `other`, that the ego collides with first.
 
     Without a collision, return the entity whose box comes nearest to the ego's box.
     """

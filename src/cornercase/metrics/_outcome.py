@@ -22,9 +22,9 @@ Conflict = Literal[
 class Fault:
     """Verdict on whose fault a collision of the ego is.
 
-    `who` is ``"undecided"`` if motion and roads do not show it. `sides` are the sides of the ego's box and of the
-    other's box that are hit. `point` is the point in m at which the boxes touch. Sides and point are None if they are
-    unknown. `reasons` are sentences without full stop.
+    `who` says who is at fault: ``"ego"``, ``"other"``, ``"both"``, or ``"undecided"`` if motion and roads do not show
+    this. `sides` are the sides on which the ego's box and the other's box are hit. `point` is the point in m at which
+    the boxes touch. Unknown sides and an unknown point are None. `reasons` are sentences without full stop.
     """
 
     who: Culprit
@@ -43,10 +43,13 @@ class Fault:
 class Impact:
     """Collision of the ego with `entity`, at `time` in s.
 
-    `speed` is the magnitude of the relative velocity at first contact in m/s. `manner` is ``"from behind"`` if the ego
-    hits an entity ahead that moves in the same direction. It is ``"its rear"`` if an entity behind that moves in the
-    same direction hits the ego, and ``"while it stands"`` if the ego stands. `fault` is None in studies of early
-    versions.
+    `speed` is the magnitude of the relative velocity at first contact in m/s. `fault` is None in studies of early
+    versions. `manner` is one of these:
+
+    - ``"while it stands"``: the ego stands.
+    - ``"from behind"``: the ego hits an entity ahead that moves in the same direction.
+    - ``"its rear"``: an entity behind that moves in the same direction hits the ego.
+    - ``"otherwise"``: none of these.
     """
 
     entity: str
@@ -57,10 +60,9 @@ class Impact:
 
     @property
     def shown_manner(self) -> Manner:
-        """The manner as it is shown.
+        """Manner of the collision that reports show.
 
-        For two entities that move in the same direction, this is ``"otherwise"`` unless the front of one hits the rear
-        of the other.
+        If both entities move in the same direction, but are known not to touch front to rear, this is ``"otherwise"``.
         """
         sides = {"from behind": ("front", "rear"), "its rear": ("rear", "front")}.get(self.manner)
         if sides is None or self.fault is None or None in self.fault.sides or self.fault.sides == sides:
@@ -77,13 +79,15 @@ class PathRelation:
     - ``"lane"``: both move in the same direction at the beginning and at the end, in one lane or in adjacent lanes.
     - ``"crossing"``: the areas that both boxes sweep overlap, or would overlap if both went straight on for 20 m after
       the end.
-    - ``"apart"``: neither of the two.
-    - ``"absent"``: an entity never exists.
+    - ``"apart"``: neither ``"lane"`` nor ``"crossing"``.
+    - ``"absent"``: at least one of the two entities never exists.
 
-    `first` is the entity that enters the overlap first. In a lane, `first` is ahead at the end, and `ahead` is ahead at
-    the beginning. `enters` is when the ego enters the overlap, `leaves` is when the other entity leaves the overlap;
-    NaN if this did not happen, and in a lane. `gap` is the time from the first entity leaving to the second entity
-    entering. It is negative if both were in the overlap at once, and NaN if only one entity came.
+    On a crossing, `first` is the entity that enters the overlap first. `enters` is when the ego enters the overlap, and
+    `leaves` is when the other entity leaves it, or the last instant if the other entity stays in the overlap. A time is
+    NaN if the entity never enters. `gap` is the time from the instant at which the first entity leaves until the second
+    entity enters: negative if both were in the overlap at once, NaN if only one entity entered.
+
+    In a lane, `ahead` is the entity ahead at the beginning, `first` is the entity ahead at the end, and times are NaN.
     """
 
     entity: str
@@ -99,14 +103,14 @@ class PathRelation:
 class Outcome:
     """Ending of a scenario for the ego.
 
-    `encounter` is the relation to the main other entity of the study, `others` are the relations to further entities
-    that moved, not extrapolated after the end. `impacts` are the ego's collisions by time, `other_collisions` are
-    collisions without the ego. `exists` and `moves` say whether the ego ever does. `stops` says whether the ego comes
-    to stand after it moved.
+    `encounter` is the relation between the ego's path and the path of the main other entity of the study. `others` are
+    the relations to further entities that moved; their paths are not extrapolated after the end. `impacts` are the
+    ego's collisions in order of time, `other_collisions` are collisions without the ego. `exists` says whether the ego
+    ever exists, `moves` whether it ever moves, and `stops` whether it stands after it moved.
 
-    `waits` and `yields` can be True only if the other entity is first on a crossing. The ego waits if it stands before
-    it enters and before the other entity has left. It yields if it waits, or if it slows down by a fifth and speeds up
-    again by a quarter before it enters.
+    `waits` and `yields` can be True only if the other entity is first on a crossing. The ego waits if it stops before
+    it enters the crossing and before the other entity has left. The ego yields if it waits, or if it slows down by a
+    fifth and then speeds up by a quarter before it enters, or slows down by a fifth and never enters.
     """
 
     ego: str
@@ -127,9 +131,9 @@ class Outcome:
 
     @property
     def collision(self) -> str | None:
-        """Name of the entity that the ego collides with first; None if nothing collides.
+        """Name of the entity that the ego collides with first; None if no entities collide.
 
-        If only other entities collide, these are their names, joined by "and".
+        If only other entities collide, the names of the first two that collide, joined by "and".
         """
         if self.impacts:
             return self.impacts[0].entity

@@ -52,7 +52,7 @@ class StoredMetric(Metric):
 
 
 def describe_own_metric(metric: Metric) -> dict[str, Any] | None:
-    """Return the attributes that a study stores, so that it can be read without the class of a metric.
+    """Return the attributes of a metric that a study stores; they suffice to read the study without the metric's class.
 
     None for a metric of cornercase itself.
     """
@@ -66,7 +66,7 @@ def describe_own_metric(metric: Metric) -> dict[str, Any] | None:
 
 
 def resolve_metric(metric: object, parameter: str = "metrics") -> Metric:
-    """Create the metric that a text names, or check a metric object and return it itself.
+    """Create the metric that a text names, or check a metric object and return this object.
 
     `parameter` is the name of the parameter in error messages. Raises `InputError` if `metric` cannot be used.
     """
@@ -82,7 +82,7 @@ def resolve_metric(metric: object, parameter: str = "metrics") -> Metric:
 
 
 def as_metric_tuple(metrics: Any) -> tuple[Any, ...]:
-    """Return the metrics in an argument that is one metric or an iterable of metrics, as a tuple."""
+    """Return a tuple of metrics from an argument that is one metric or an iterable of metrics."""
     is_several = isinstance(metrics, Iterable) and not isinstance(metrics, str | bytes | Mapping)
     return tuple(metrics) if is_several else (metrics,)
 

@@ -29,11 +29,12 @@ class Rss(Metric):
 
         [v_r ρ + a ρ²/2 + (v_r + ρ a)² / (2 b_min) - v_f² / (2 b_max)]₊.
 
-    If they come towards each other, each needs the distance that it travels in the response time ρ and until it stands.
-    Here the ego brakes with ``correct_braking`` and the other entity with ``min_braking``. Two standing entities need
-    the distance in which one of them accelerates for ρ and then brakes. Across the heading, both drift towards each
-    other for ρ and then brake. Not defined if one of the two does not exist. Least critical value (cap): 100 m. Most
-    critical value: -500 m, which is also the score of a recording in which both touch.
+    The brackets [ ]₊ mean that a negative result counts as 0. If both come towards each other, the minimum is the sum
+    of the distances in which each accelerates for the response time ρ and then brakes until it stands. Here the ego
+    brakes with ``correct_braking`` and the other entity with ``min_braking``. Two standing entities need the distance
+    in which one of them accelerates for ρ and then brakes. Across the heading, both drift towards each other for ρ and
+    then brake. Not defined if one of the two does not exist. Least critical value (cap): 100 m. Most critical value:
+    -500 m, which is also the score of a recording in which both touch.
 
     Source: S. Shalev-Shwartz, S. Shammah, A. Shashua, "On a formal model of safe and scalable self-driving cars",
     arXiv:1708.06374, definitions 1, 2, 6 and 8, in the frame of the ego instead of the lane.
@@ -53,7 +54,7 @@ class Rss(Metric):
     lateral_margin : float, default 0.1
         Margin μ for lateral fluctuations, in m.
     term : {"both", "longitudinal", "lateral"}, default "both"
-        Surplus that is the value.
+        Surplus to give: the longitudinal or the lateral surplus alone, or by default their combination as above.
 
     Raises
     ------

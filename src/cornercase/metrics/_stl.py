@@ -23,10 +23,10 @@ class Stl(Metric):
     no bound was ever defined, or if the result depends on something that the run does not show, such as the lanes if
     the roads are unknown.
 
-    The cap is the largest cap of any part of the formula. The cap of a comparison of a metric with a number is the
-    distance of the number from the cap of the metric, so ``stl:always(clearance > 0.5)`` scores the ``clearance`` less
-    0.5. The cap of any other part is 100. The most critical value is -100, or lower if a number is more than 100 away
-    from the most critical value of its metric.
+    Each part of the formula has a cap, and the largest of these is the cap of the metric. If a part compares a metric
+    with a number, its cap is the distance of the number from the cap of that metric. So ``stl:always(clearance > 0.5)``
+    scores the ``clearance`` less 0.5. Every other part has the cap 100. The most critical value is -100, or lower if a
+    number is more than 100 away from the most critical value of its metric.
 
     Source: G. E. Fainekos, G. J. Pappas, "Robustness of temporal logic specifications for continuous-time signals",
     Theoretical Computer Science 410 (2009); A. Donzé, O. Maler, "Robust satisfaction of temporal logic over real-valued
@@ -64,8 +64,8 @@ class Stl(Metric):
         self.formula = Expression.parse(formula)
         if references := self.formula.reference_drivers:
             raise InputError(
-                f"The formula '{self.formula}' needs a run with the driver {references[0]}, but a metric runs no"
-                " scenario; use the formula in `critical_if` or `require`."
+                f"The formula '{self.formula}' needs a run with the driver {references[0]}, but a metric cannot"
+                " run a scenario; use the formula in `critical_if` or `require`."
             )
         self.unit, self.cap = self.formula.unit, self.formula.cap
         self.bound = -max(

@@ -1,6 +1,6 @@
 """Functions and classes of `cornercase.metrics.timeline` for other subpackages.
 
-Import this module inside the functions that need it, since it loads compiled code.
+Import this module only inside the functions that need it: the import is slow, since it loads compiled code.
 """
 
 from cornercase.metrics.timeline._earlier_braking import EARLIER as EARLIER

@@ -1,1 +1,1 @@
-"""Geometry that several metrics share: boxes, tracks, gaps along the path of the ego, compiled kernels."""
+"""Geometry that several metrics share: boxes, tracks, gaps along the path of the ego, and compiled functions."""

@@ -1,7 +1,7 @@
-"""Conflict area of two recorded tracks, and the times at which each entity was in it.
+"""Conflict area of two recorded tracks, and the times at which each entity enters and leaves the area.
 
-The times are exact, also between two instants, since scores are compared with thresholds and between simulators.
-Clustering uses a faster approximation (`cornercase.clustering`); a test checks that both agree.
+The times are not rounded to recorded instants, since scores are compared with thresholds and between simulators.
+`cornercase.clustering` uses a faster approximation; a test checks that the approximation agrees with these times.
 """
 
 from __future__ import annotations
@@ -56,10 +56,10 @@ class AreaVisit:
 
 
 def area_visits(recording: Recording, ego: str, other: str, area: Area | None) -> list[tuple[AreaVisit, AreaVisit]]:
-    """Return the visits of the ego and of the other entity to each conflict area that they share, in pairs.
+    """Return pairs of a visit of the ego and a visit of the other entity to the same conflict area.
 
-    `area` is a rectangle to use as conflict area: x, y, heading, length and width. By default, a conflict area is an
-    overlap of the areas that both boxes sweep.
+    `area` is a rectangle to use as conflict area: x, y, heading, length and width. By default, each connected
+    overlap of the areas that both boxes sweep is a conflict area.
     """
     a, b = _SweptArea.from_recording(recording, ego), _SweptArea.from_recording(recording, other)
     if area is None:
@@ -73,18 +73,18 @@ def area_visits(recording: Recording, ego: str, other: str, area: Area | None) -
 
 
 def validate_area(metric: str, area: Area | None) -> Area | None:
-    """Return the rectangle `area` unchanged; InputError if it is invalid. `metric` is named in the error."""
+    """Return the rectangle `area` unchanged; InputError, which names `metric`, if it is invalid."""
     if area is not None and (len(area) != 5 or not np.isfinite(area).all() or min(area[3:]) <= 0.0):
         raise InputError(f"{metric} cannot take the area {area}; give x, y, heading, and a length and width above 0.")
     return area
 
 
 class _SweptArea:
-    """Area that a moving box sweeps in n steps, as the convex hulls of the box before and after each step.
+    """Area that a moving box sweeps in n steps; each step is the convex hull of the box before and after the step.
 
     A period of standing is one step. `center` (n, 2, 2), `heading`, `time` and `speed` (n, 2) hold the values before
-    and after each step. `corners` (n, 8, 2) are the corners of both boxes of a step, and `axes` (n, 8, 2) are the
-    separating axes of the hull.
+    and after each step. `corners` (n, 8, 2) are the corners of the box before and after each step. `axes` (n, 8, 2)
+    are the directions in which the hull of a step could be separated from another hull.
     """
 
     def __init__(
@@ -116,7 +116,7 @@ class _SweptArea:
     def subdivide_turning_steps(self, steps: IntArray) -> _SweptArea:
         """Return the swept area of some steps; steps in which the box turns are split into parts.
 
-        So the hulls follow the curve.
+        The hulls of short parts follow the curved edge of the swept area closely.
         """
         turn = self.heading[steps, 1] - self.heading[steps, 0]
         parts = np.maximum(np.ceil(0.5 * np.hypot(*self.size) * np.abs(turn) / _ARC), 1.0).astype(np.int64)
@@ -159,9 +159,9 @@ def _bounding_circles(sweep: _SweptArea) -> tuple[FloatArray, FloatArray]:
 
 
 def _visits_of_shared_stretches(a: _SweptArea, b: _SweptArea) -> list[tuple[AreaVisit, AreaVisit]]:
-    """Return pairs of visits: each entity's visit to the area that the other entity sweeps.
+    """Return pairs of visits: box a in the area that box b sweeps, and box b in the area that box a sweeps.
 
-    There is one pair for each connected stretch on which both areas overlap.
+    Each connected overlap of both areas gives one pair.
     """
     pairs = [
         (
@@ -192,10 +192,10 @@ def _visit_of_area(
 def _time_of_first_touch(
     sweep: _SweptArea, steps: IntArray, area: _SweptArea, overlapped_by: Callable[[int], BoolArray], reverse: bool
 ) -> float | None:
-    """Return the time at which the box first touches the area, in the given order of steps; None if it never does.
+    """Return the time at which the box first touches the area; None if the box never touches it.
 
-    A touch is checked precisely, since the hulls of steps with a turn can overlap although the boxes do not touch. With
-    `reverse`, time runs backwards.
+    `steps` are searched in the given order. Each step with a turn is split into short parts, since the hulls of long
+    steps can overlap although the boxes do not touch. With `reverse`, the box moves backwards in time.
     """
     for step in steps.tolist():
         fine, obstacles = (
@@ -228,7 +228,7 @@ def _fraction_until_touch(corners: FloatArray, obstacles: FloatArray, axes: Floa
 def _time_and_speed_at_fraction(
     time: FloatArray, speed: FloatArray, fraction: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return time and speed after a fraction of a step's length; the speed changes linearly in time.
+    """Return time and speed after a fraction of the distance of a step; the speed changes linearly in time.
 
     `time` and `speed` have shape (..., 2): before and after the step.
     """

@@ -26,8 +26,8 @@ _INITIAL_CAPACITY = 256
 def distances_to_crossing(recording: Recording, ego: str, other: str, ahead: float) -> tuple[FloatArray, FloatArray]:
     """Return the distances of ego and other to the crossing of their tracks ahead, in m, shape (T,) each.
 
-    If several crossings lie ahead of both, the crossing with the smallest sum of distances counts. NaN if there is
-    none. Each track goes straight on for `ahead` m after the recording.
+    If several crossings lie ahead of both, the crossing with the smallest sum of both distances counts. NaN if no
+    crossing lies ahead of both. Each track goes straight on for `ahead` m after the last recorded centre.
     """
     tracks = _CenterTrack(recording, ego, ahead), _CenterTrack(recording, other, ahead)
     crossings = _crossing_distances(*tracks)

@@ -131,9 +131,9 @@ class Encounter:
 
     @cached_property
     def closest_instant_and_gap(self) -> tuple[int | None, float]:
-        """First instant at which the boxes are nearest, and their gap in m.
+        """First instant at which the boxes are nearest to each other, and their gap in m at this instant.
 
-        If both never exist at the same time, the instant is None and the gap 100 m.
+        If both entities never exist at the same time, the instant is None and the gap is 100 m.
         """
         both = self.common_instants
         if not len(both):
@@ -151,7 +151,7 @@ class Encounter:
     def _box_gaps_at(self, instants: IntArray) -> FloatArray:
         """Return the gaps between the boxes at `instants` in m.
 
-        For two boxes this is ten times as fast as the general distance function.
+        This is ten times as fast as a distance function for polygons of any shape.
         """
         recording, offset = self.recording, self.other_center[instants] - self.ego_center[instants]
         rows = (self.ego_row, self.other_row)
@@ -175,7 +175,7 @@ class Encounter:
         return np.where(axis_gap <= 0.0, 0.0, corner_gap)
 
     def other_relative_to_ego(self, instant: int) -> tuple[float, float, float]:
-        """Return the position of the other entity in the frame of the ego, and the speed of the other entity.
+        """Return how far the other entity is ahead and to the left of the ego, and the speed of the other entity.
 
         Parameters
         ----------
@@ -185,8 +185,8 @@ class Encounter:
         Returns
         -------
         ahead, left, speed : float
-            Position in m, and speed in m/s. If the other entity does not exist at the instant, it counts as standing
-            100 m ahead.
+            Distances of the centres in m, and speed in m/s. If the other entity does not exist at the instant, it
+            counts as standing 100 m ahead.
         """
         if instant not in self.other_instants:
             return NEVER_MET_DISTANCE, 0.0, 0.0
@@ -197,9 +197,9 @@ class Encounter:
 
     @cached_property
     def path_distance_and_time_gap(self) -> tuple[float, float]:
-        """Distance in m of both paths where they come nearest, and how much later than the other the ego is there.
+        """Distance in m between the nearest points of both paths, and the time gap in s between the arrivals there.
 
-        The second value is in s, and negative if the ego is there first.
+        The time gap is positive if the ego reaches its point later than the other entity, and negative if earlier.
         """
         mine, others = self.ego_instants, self.other_instants
         if not len(mine) or not len(others):
@@ -215,7 +215,7 @@ class Encounter:
     def _closest_path_points(self, ego_instants: IntArray, other_instants: IntArray) -> tuple[int, int, float]:
         """Return where both paths come nearest: an index into the instants of each entity, and the distance in m.
 
-        Of points that are about equally near, the points count that both entities pass within a short time.
+        If several pairs of points are about equally near, the pair with the shortest time between both arrivals counts.
         """
         a, b, time = self.ego_center[ego_instants], self.other_center[other_instants], self.recording.time
         distance = np.hypot(a[:, :1] - b[:, 0], a[:, 1:] - b[:, 1])

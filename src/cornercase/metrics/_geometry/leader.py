@@ -16,7 +16,7 @@ from cornercase.recordings import Recording
 class LeaderGap:
     """Gap, speeds and accelerations of the ego and a leader (an entity ahead) at T instants, shape (T,) each.
 
-    All are measured along the ego's direction of travel, in m, m/s and m/s². `gap` is how far the ego could go straight
+    All values are along the ego's direction of travel, in m, m/s and m/s². `gap` is how far the ego could go straight
     on until the boxes touch; 0 if they touch now. It is NaN if the other entity is beside or behind the ego, or one of
     the two does not exist. `leader_speed` is negative for an oncoming leader.
     """
@@ -59,7 +59,7 @@ def time_to_travel_distance(
     """Return the time in s until a distance is travelled with constant acceleration; inf if never.
 
     This is the smallest t >= 0 with ``speed t + acceleration t² / 2 = distance``; NaN if an input is NaN. With
-    `stops_at_zero_speed`, braking ends in standing. Otherwise the motion reverses.
+    `stops_at_zero_speed`, an entity that brakes to a stop stays there; otherwise it then moves backwards.
     """
     discriminant = speed**2 + 2.0 * acceleration * distance
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -59,10 +59,11 @@ def _unit_vector(x, y):
 
 @kernel(error_model="numpy")
 def find_overlapping_hulls(corners_a, axes_a, center_a, radius_a, corners_b, axes_b, center_b, radius_b, tree):
-    """Find which hulls of `a` intersect which hulls of `b`; return runs of consecutive hulls of `b`.
+    """Find which hulls of the swept area a intersect which hulls of the swept area b.
 
-    A run has three numbers: index in a, first and last index in b. Each hull lies in a circle with its `center` and
-    `radius`. `tree` is a bounding-box tree of the hulls of `b`.
+    Return an array with a row of three numbers for each run of consecutive hulls of b that intersect one hull of a: the
+    index of the hull of a, and the first and last index of the hulls of b. `center` and `radius` describe a circle
+    around each hull. `tree` is a bounding-box tree of the hulls of b.
     """
     leaves, count = len(tree) // 2, 0
     runs = np.empty((64, 3), dtype=np.int64)
@@ -102,11 +103,11 @@ def _bounds_with_margin(corners):
 
 @kernel(error_model="numpy")
 def gap_to_nearest_hull(start, motion, fraction, corners, axes):
-    """Return the gap between a box that has moved for a `fraction` of a step and the nearest of several hulls.
+    """Return the gap between the area that a box sweeps in a `fraction` of a step and the nearest of several hulls.
 
-    The area that the box has swept until then counts. `start` and `motion`, shape (4, 2), are the corners of the box
-    and their displacement in the whole step; `corners` and `axes` describe the hulls. A gap above 0 is a lower bound of
-    the distance; at 0 or below, the areas touch.
+    `start` and `motion`, shape (4, 2), are the corners of the box and their displacement in the whole step; `corners`
+    and `axes` describe the hulls. If the gap is above 0, the distance is at least the gap. If the gap is 0 or below,
+    the swept area touches a hull.
     """
     hull, own = np.empty((8, 2)), np.empty((8, 2))
     for corner in range(4):

@@ -46,8 +46,8 @@ def wttc_of_recording(x, y, heading, speed, center_offset, ego_row, other_row, r
 def wttc_of_circles(position, velocity, radius, growth, out):
     """Write the worst time to collision of n pairs of growing circles to `out`, shape (n,).
 
-    `position` and `velocity`, shape (n, 2), are relative. `radius` is the sum of both radii and `growth` the sum of
-    both greatest accelerations, shape (n,).
+    `position` and `velocity`, shape (n, 2), are those of one circle relative to the other. `radius` is the sum of both
+    radii and `growth` the sum of both greatest accelerations, shape (n,).
     """
     positions, velocities = np.empty((2, _BLOCK)), np.empty((2, _BLOCK))
     radii, growths = np.empty(_BLOCK), np.empty(_BLOCK)
@@ -119,10 +119,11 @@ def _solve_block(position, velocity, radius, growth, count, out):
 
 @kernel(error_model="numpy")
 def _first_maximum_of_quartic(bend, gain, closing, out):
-    """Write to `out` the t of the first maximum of ``gain t⁴/2 - bend t² + 2 closing t`` before the inflection.
+    """Write the time t of the maximum of each quartic ``gain t⁴/2 - bend t² + 2 closing t`` to `out`.
 
-    Half the slope, ``gain t³ - bend t + closing``, is convex and falls up to the inflection. So Newton's method reaches
-    the first root from the left.
+    The first maximum, before the inflection, is computed. Half the slope of the quartic, ``gain t³ - bend t +
+    closing``, is convex and falls up to the inflection. So Newton's method reaches the first root of the slope from the
+    left.
     """
     for k in range(len(out)):
         out[k] = closing[k] / bend[k]

@@ -81,7 +81,7 @@ def _box_distance(a, b, axes):
 def _set_axes(axes, first, box):
     """Write the unit vectors along and across a box to `axes`, from row `first` on.
 
-    A box without width or without length has both vectors, too; for a point they are +x and +y.
+    Both vectors are written even for a box of length or width 0. If both are 0, the vectors are +x and +y.
     """
     across_x, across_y = box[1, 0] - box[0, 0], box[1, 1] - box[0, 1]
     along_x, along_y = box[1, 0] - box[2, 0], box[1, 1] - box[2, 1]
@@ -105,9 +105,9 @@ def _projected_range(axes, axis, points):
 
 @kernel(error_model="numpy", _nrt=False)
 def _nearest_corner(corners, box, axes, first):
-    """Return the smallest distance of the corners of one box to another box, `box`.
+    """Return the smallest distance from the corners of one box, `corners`, to another box, `box`.
 
-    The axes of `box` are two rows of `axes`, from row `first` on.
+    The two rows of `axes` from row `first` on are the axes of `box`.
     """
     nearest = math.inf
     low_u, high_u = _projected_range(axes, first, box)

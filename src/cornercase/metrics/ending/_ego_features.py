@@ -20,8 +20,8 @@ def measure_features(recording: Recording, outcome: Outcome, poses: Poses | None
     """Measure how the ego drove in a scenario: features by name, NaN for what did not happen.
 
     - ``"impact speed"``, ``"impact time"``: relative speed and time of the ego's first collision, in m/s and s
-    - ``"entry"``, ``"gap"``: when the ego enters the crossing of the paths, and the time gap there, in s, as in
-      `PathRelation`
+    - ``"entry"``, ``"gap"``: when the ego enters the crossing of the paths, and the time between one entity leaving the
+      crossing and the other entering it (NaN if negative), in s, as in `PathRelation`
     - ``"nearest"``, ``"nearest time"``, ``"first distance"``: smallest gap between the boxes of ego and other, its
       first instant, and the gap at the beginning, in m and s
     - ``"lowest speed"``, ``"highest speed"``, ``"mean speed"``, ``"first speed"``, ``"last speed"``: speeds of the ego
@@ -30,11 +30,11 @@ def measure_features(recording: Recording, outcome: Outcome, poses: Poses | None
     - ``"standing"``: time that the ego stands, in s
     - ``"braking"``: hardest deceleration of the ego while it moves, in m/s²
     - ``"way"``, ``"duration"``: distance and time that the ego travels, in m and s
-    - ``"turn"``: change of heading of the ego to the left, in rad
-    - ``"shift"``: lateral offset of the ego to the left from the beginning to the end, in m
-    - ``"aside"``: lateral offset of the other from the ego to the left at the beginning, in m
+    - ``"turn"``: change of heading of the ego, in rad, positive to the left
+    - ``"shift"``: how far the ego is at the end to the left of its first line of travel, in m
+    - ``"aside"``: how far the other entity is to the left of the ego at the beginning, in m
 
-    `poses` are the poses in the recording; by default they are computed again.
+    `poses` are the poses in the recording, if they are already computed.
     """
     return measure_features_per_outcome(recording, (outcome,), poses)[0]
 
@@ -44,8 +44,7 @@ def measure_features_per_outcome(
 ) -> tuple[dict[str, float], ...]:
     """Measure the features of `measure_features` for each of several outcomes of one recording.
 
-    The outcomes differ in the main other entity. `poses` are the poses in the recording; by default they are computed
-    again.
+    The outcomes differ in the main other entity. `poses` are the poses in the recording, if they are already computed.
     """
     poses = Poses.from_recording(recording) if poses is None else poses
     ego_features: dict[str, float] = {}

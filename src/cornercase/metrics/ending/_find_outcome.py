@@ -30,7 +30,8 @@ _SLOWDOWN_SHARE: Final = 0.8
 def find_outcome(recording: Recording, ego: str, other: str, *, others: bool = True) -> Outcome:
     """Determine how a recorded scenario ended for the ego.
 
-    `others=False` skips encounters with further entities; each of them takes as long as the encounter with `other`.
+    `others=False` skips encounters with further entities. Each of these encounters takes as long to compute as the
+    encounter with `other`.
     """
     return find_outcomes(recording, ego, (other,), others=others)[0]
 
@@ -40,8 +41,8 @@ def find_outcomes(
 ) -> tuple[Outcome, ...]:
     """Determine how a recorded scenario ended for the ego, once with each of `main_others` as main other entity.
 
-    `others=False` skips encounters with further entities. `poses` are the poses in the recording; by default they are
-    computed again.
+    `others=False` skips encounters with further entities. `poses` are the poses in the recording, if they are already
+    computed.
     """
     scene = _Scene(recording, ego, Poses.from_recording(recording) if poses is None else poses)
     exists, path = scene.poses.exists[scene.ego_index], scene.path(ego)
@@ -136,10 +137,10 @@ def _find_encounter(scene: _Scene, ego_path: BoxPath, other: str, extrapolate: b
 
 
 def _encounter_after_end(scene: _Scene, ego_path: BoxPath, other_path: BoxPath, other: str) -> PathRelation:
-    """Return the relation of paths that would cross only if both entities went straight on after the end.
+    """Return the relation of two paths that do not cross in the recording, but may if they are extrapolated.
 
-    If only one of them reached the point of the crossing in the recording, this entity is first. Otherwise the paths
-    are apart.
+    The paths cross if one entity reached the crossing of the extrapolated paths before the end; this entity is first.
+    Otherwise the relation is ``"apart"``.
     """
     # An entity that never moves has no path to extrapolate.
     if not (scene.has_moved(scene.ego) and scene.has_moved(other)):

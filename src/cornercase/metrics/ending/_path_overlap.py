@@ -86,8 +86,8 @@ def sample_path(time, exists, x, y, cos, sin, max_spacing):
 def find_first_crossing(time_a, poses_a, size_a, time_b, poses_b, size_b):
     """Return whether two paths overlap, and when each entity is in the overlap that is reached first.
 
-    Pairs of boxes that overlap belong to one overlap of the paths if they are connected through pairs of neighbouring
-    boxes that overlap. Times are of the first and last contact of path a, then of path b, in s.
+    Where boxes of both paths overlap in successive steps, they form one overlap of the paths. The times in s are the
+    first and last contact of entity a, then of entity b.
     """
     nothing = (False, math.nan, math.nan, math.nan, math.nan)
     if _bounding_boxes_are_disjoint(poses_a, size_a, poses_b, size_b):
@@ -123,7 +123,7 @@ def _bounding_boxes_are_disjoint(poses_a, size_a, poses_b, size_b):
 
 @kernel(error_model="numpy")
 def _bounds_of_centres(poses):
-    """Return the bounds of the centres of a path, for a bounding-box tree: boxes without extent."""
+    """Return a bounding box of size 0 for each centre of a path, as input of a bounding-box tree."""
     bounds = np.empty((poses.shape[1], 4))
     for i in range(len(bounds)):
         for k in range(2):
@@ -133,7 +133,7 @@ def _bounds_of_centres(poses):
 
 @kernel(error_model="numpy")
 def _connect_runs(runs):
-    """Return for each run (see `_find_overlap_runs`) the first run of its connected component."""
+    """Return for each run of `_find_overlap_runs` the index of the first run in the same overlap of the paths."""
     roots = np.empty(len(runs), dtype=np.int64)
     for run in range(len(runs)):
         roots[run] = run

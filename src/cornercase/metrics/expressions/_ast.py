@@ -92,7 +92,7 @@ class Bound:
 
 @dataclass(frozen=True)
 class EgoCollides:
-    """Statement that the ego collides with `entity`, or with any entity if that is empty.
+    """Statement that the ego collides with `entity`, or with at least one entity if `entity` is empty.
 
     With `at_fault`, only collisions that are the ego's fault count.
     """

@@ -30,7 +30,7 @@ TIME_TOLERANCE: Final = 1e-6
 class LeafValues(NamedTuple):
     """Margin and truth (1 or -1) of a bound or statement at each of T instants, shape (T,); NaN if undefined.
 
-    `is_known` says whether a bound is defined at any instant, or whether the run shows if a statement is true.
+    `is_known` is False for a bound that is undefined at all instants, and for a statement that the run does not decide.
     """
 
     margin: FloatArray
@@ -104,7 +104,7 @@ def find_collisions(statement: EgoCollides, signals: Signals) -> list[Collision]
 
 
 def fault_of(collision: Collision, signals: Signals) -> Fault:
-    """Return whose fault a collision of the ego is; found once and stored in the signals."""
+    """Return whose fault a collision of the ego is; the verdict is stored in the signals and found only once."""
     if collision not in signals.faults:
         from cornercase.metrics.fault._find_fault import find_fault
 
@@ -122,7 +122,7 @@ def driven_distance(recording: Recording, ego: str) -> FloatArray:
 def distance_within_time_limit(statement: EgoReaches, recording: Recording, ego: str) -> FloatArray:
     """Return the distance in m between the ego's box centre and the position that it has to reach, shape (T,).
 
-    NaN after the time limit of the statement, and if the ego does not exist.
+    NaN after the time limit of the statement, and at instants at which the ego does not exist.
     """
     distances = np.hypot(*(recording.box_center(ego) - (statement.x, statement.y)).T)
     elapsed = recording.time - recording.time[0]

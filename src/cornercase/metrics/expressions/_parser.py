@@ -75,7 +75,7 @@ def parse_expression(text: str, language: Language = "formula") -> Node:
 
 
 class _Number(NamedTuple):
-    """Number and unit as they are written, before the signal is known that the number is compared with."""
+    """Number and unit as written; they are converted once the signal on the other side of the comparison is known."""
 
     value: float
     text: str

@@ -59,8 +59,8 @@ class Signals:
     others : tuple of str, default ()
         Entities that the ego is measured against.
     references : mapping of str to (bool or None), default {}
-        Whether each reference driver (by name), driving the ego, collides. None if the driver does not cover such a
-        scenario; a driver that was not run is missing.
+        For the name of each reference driver, whether the ego collides if this driver drives it. None if the driver is
+        not made for such a scenario. Drivers that were not run are missing.
     faults : dict of Collision to Fault, default {}
         Results on whose fault collisions of the ego are, as far as they are already known.
 
@@ -92,9 +92,9 @@ def signals_from_recording(
 ) -> Signals:
     """Create the signals of a recording; metrics are computed on first access.
 
-    The signal of a metric is its course. At the first instant of a contact the course is at least as critical as the
-    metric's score for contacts. So a collision violates a bound even if the course of its metric does not show
-    collisions.
+    The signal of a metric is its course. At the first instant of a contact, the value is replaced by the metric's score
+    for contacts if this score is more critical. So a collision can violate a bound on a metric even if the course of
+    the metric itself does not show the collision.
 
     Parameters
     ----------
@@ -144,7 +144,7 @@ def signal_unit(name: str) -> str:
     if base == FORMULA_METRIC:
         raise InputError(f"'{FORMULA_METRIC}' is the metric of a formula; write the formula itself, in brackets.")
     if base == CONDITION_METRIC:
-        raise InputError(f"'{CONDITION_METRIC}' is the metric of a condition, which an expression cannot use.")
+        raise InputError(f"'{CONDITION_METRIC}' is the metric of a condition; it cannot be used in an expression.")
     return METRICS.create(name).unit
 
 
@@ -183,7 +183,7 @@ class _LazySignals(dict[str, FloatArray]):
     def add_course(self, name: str, course: FloatArray) -> None:
         """Add the course of a metric.
 
-        At the first contact the course is made at least as critical as the score for contacts.
+        At the first contact, the score for contacts replaces the value if the score is more critical.
         """
         metric = METRICS.create(name)
         self[name] = course

@@ -57,7 +57,7 @@ def _until_the_end(left: FloatArray, right: FloatArray) -> FloatArray:
 def _least_ahead(values: FloatArray, begin: int, end: int) -> FloatArray:
     """Return the smallest of the values that are `begin` to `end` steps ahead of each value.
 
-    It is inf beyond the last value.
+    Beyond the last value, all values count as inf.
     """
     count = len(values)
     padded = np.full(count + end + 1, np.inf)
@@ -83,8 +83,8 @@ def _even_grid(interval: tuple[float, float], time: FloatArray) -> tuple[IntArra
         step = float(np.diff(time).min())
         if span / step > _MAX_GRID_SIZE:
             raise InputError(
-                f"The time steps of the recording are too uneven for intervals of an expression: the shortest has"
-                f" {step:g} s, in {span:g} s in all; resample the recording with even steps."
+                f"The time steps of the recording are too uneven for intervals of an expression: the shortest step has"
+                f" {step:g} s in a recording of {span:g} s; resample the recording with even steps."
             )
         index = np.ceil((time - time[0]) / step - _STEP_TOLERANCE).astype(np.intp)
         source = np.searchsorted(index, np.arange(index[-1] + 1), side="right") - 1

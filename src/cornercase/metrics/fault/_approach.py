@@ -1,6 +1,6 @@
-"""Description of how two parties came together before a collision.
+"""Description of how the two parties to a collision approached each other.
 
-From which direction they came, whose path was blocked first, and who left its line.
+The description says from which directions the parties came, who was in whose path, and who left its line of travel.
 """
 
 from __future__ import annotations
@@ -33,14 +33,15 @@ TURN: Final = np.radians(20.0)
 
 @dataclass(frozen=True)
 class ConflictApproach:
-    """Description of how two parties, the first and the second, approached each other.
+    """Description of how the two parties to a collision approached each other; pairs of values are in their order.
 
-    `angle` is the angle between their directions of motion at the contact, `first_angle` the angle at the beginning, in
-    rad from 0 to π. `turns` are their changes of direction in rad, positive to the left. The corridor of a party is the
-    area that its box has still to sweep. `in_corridor` says how long before the contact, in s, each party came into the
-    corridor of the other for good. `always_in_corridor` says whether it was there from the beginning. `shifts` are the
-    distances in m by which each party left its first line, positive towards the side on which the other was at the
-    beginning. This line follows the road if `along_road` is True, otherwise it is straight.
+    `angle` is the angle between the directions of motion at the contact, `first_angle` the angle at the beginning, in
+    rad from 0 to π. `turns` are the changes of direction in rad, positive to the left. The corridor of a party is the
+    area that its box will sweep from an instant on. `in_corridor` is the time in s before the contact during which each
+    party was in the corridor of the other without interruption. `always_in_corridor` says whether this was so from the
+    beginning. `shifts` are the distances in m by which each party left its first line of travel, positive towards the
+    side on which the other party was at the beginning. The first line follows the road if `along_road` is True,
+    otherwise it is straight.
     """
 
     angle: float
@@ -53,7 +54,7 @@ class ConflictApproach:
 
     @property
     def is_lane_change_ambiguous(self) -> bool:
-        """True if both turn to the same side, and no road says which of them left its lane."""
+        """True if both parties turn to the same side, and no road shows which party left its lane."""
         both_turn = min(map(abs, self.turns)) >= STRAIGHT and self.turns[0] * self.turns[1] > 0.0
         return both_turn and not self.along_road
 
@@ -81,9 +82,9 @@ def describe_approach(
 
 
 def _time_in_corridor(party: Party, other: Party, contact: float, begin: float) -> float:
-    """Return for how long in s before the contact a party was in the corridor of the other without interruption.
+    """Return the time in s before the contact during which a party was always in the corridor of the other party.
 
-    The corridor is the area that the box of the other has still to sweep.
+    The corridor is the area that the box of the other party will sweep from each instant on.
     """
     instants = contact - _STEP * np.arange(1, max(int((contact - begin) / _STEP + 1e-6), 0) + 1)
     ends = np.interp(np.append(contact, instants), other.time, other.distance)
@@ -100,8 +101,8 @@ def _lateral_shifts_on_road(
 ) -> tuple[float, float] | None:
     """Return the distances in m by which both parties left their first lines, measured along one road.
 
-    In a bend, a party that keeps its lane leaves a straight line. None if they are in a junction or off the road, or
-    not on one road, at the beginning or at the contact.
+    The road is used because a party that keeps its lane in a bend leaves a straight line. None unless both parties are
+    in lanes of the same road, outside of junctions, at the beginning and at the contact.
     """
     times = np.array([begin, contact])
     x, y = (
@@ -123,9 +124,9 @@ def _lateral_shifts_on_road(
 
 
 def _lateral_shift(party: Party, other: Party, contact: float, begin: float) -> float:
-    """Return the distance in m by which a party left its first, straight line until the contact.
+    """Return the distance in m from a party at the contact to the straight line on which it moved at the beginning.
 
-    It is positive towards the side on which the other was at the beginning.
+    The distance is positive towards the side on which the other party was at the beginning.
     """
     direction = party.direction_at(begin)
     sideways = np.array([-np.sin(direction), np.cos(direction)])
