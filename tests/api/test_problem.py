@@ -57,7 +57,7 @@ def test_it_says_what_is_critical(scenario, arguments, criterion):
             r"^`weights` distance: is not one of the `metrics` \(wttc\); add it to them, too",
         ),
         ({"weights": {"wtc": 1.0}}, "^`weights` wtc: is not one of the metrics; did you mean 'wttc'"),
-        ({"condition": cc.metrics.Expression.parse("ttc<1")}, 'is a formula, .* the language "condition"'),
+        ({"condition": cc.metrics.Expression.parse("ttc<1")}, 'was parsed as a formula, .* the language "condition"'),
         ({"condition": "collision with Ego"}, "^`condition` collision with Ego: names the ego itself"),
         (
             {"condition": "no collision with Pedestrain"},

@@ -103,7 +103,7 @@ def test_what_a_study_only_names_is_asked_for(own, problem, tmp_path):
     [
         ("mine", "with the simulator 'mine', which is not installed here, or which was defined in Python code"),
         ("my_module:Mine", "with the simulator 'my_module:Mine', which is not installed here"),
-        ("esmini:library=evil.so", "with 'esmini:library=evil.so'; options that are texts could name programs"),
+        ("esmini:library=evil.so", "with 'esmini:library=evil.so', whose options are not taken from a study"),
         ("imported", "contains imported recordings"),
     ],
 )

@@ -139,7 +139,7 @@ def test_42_4_a_driver_that_always_fails_ends_the_search_in_a_sentence(folder):
     done = searched(folder, "Hopeless")
     assert done.returncode == 2
     assert done.stderr.startswith(
-        "cornercase: The first 6 scenarios all failed, so no more are run; in the last one the driver of Ego"
+        "cornercase: The first 6 scenarios all failed, so no more are run; in the last scenario the driver of Ego"
         " (faulty:Hopeless) failed at t = 0 s: RuntimeError: no map (faulty.py line"
     )
     assert done.stderr.count("\n") == 1

@@ -149,7 +149,9 @@ def test_what_cannot_be_begun_from_is_refused_and_leaves_nothing(tmp_path, other
             "optimizer": None,
         },
         "there is no such study": {"warm_start": tmp_path / "missing.db"},
-        "10 with different scores are needed": {"logical": LogicalScenario.read(X, SPACE, ["ego_start=80:90"])},
+        "at least 10 are needed, and their scores must not all be equal": {
+            "logical": LogicalScenario.read(X, SPACE, ["ego_start=80:90"])
+        },
     }
     for words, more in cases.items():
         with pytest.raises(InputError, match=words):

@@ -1,4 +1,4 @@
-"""Exploration: search a logical scenario for critical concrete scenarios, with the loop of the paper's figure."""
+"""Exploration: search a logical scenario for critical concrete scenarios, in a loop of proposals and simulations."""
 
 import lazy_loader as lazy
 

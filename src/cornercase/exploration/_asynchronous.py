@@ -101,7 +101,8 @@ class AsynchronousExplorer(ScenarioExplorer):
     def _resume_without_rounds(self, stream: SimulatorExecutor) -> tuple[int, int]:
         """Pass the stored results to the optimizer in their order, and submit pending scenarios.
 
-        Returns the number of stored scenarios, and the number of the last round.
+        Returns the number of stored scenarios, and the number of the last round: scenarios that are proposed together
+        count as a round.
         """
         rows = self._study.rows()
         minimized = self._objective.minimized_scores(self._study)
@@ -143,11 +144,11 @@ class AsynchronousExplorer(ScenarioExplorer):
         )
 
     def _simulate_in_thread(self, concretes: Sequence[ConcreteScenario], simulator: Simulator) -> list[Any]:
-        """Run scenarios in a worker thread, without access to other state of the search."""
+        """Run scenarios in a worker thread, where no other state of the search may be used."""
         return list(self._runner.simulate(simulator, concretes))
 
     def _wait_for_result(self, stream: SimulatorExecutor, check_interrupt: Callable[[], None]) -> None:
-        """Wait for the next result; store it, or submit another run of the same scenario."""
+        """Wait until runs of a scenario end; store its result, or submit further runs if the scenario needs them."""
         with self._clock("simulate"):
             key, outcomes = stream.wait_for_result(check_interrupt)
         row = self._pending[key]
@@ -184,7 +185,7 @@ class AsynchronousExplorer(ScenarioExplorer):
             self._n_without_improvement = 0 if self._incumbent.update(score[None]) else self._n_without_improvement + 1
 
     def _points_without_audits(self, rows: Sequence[ScenarioRecord]) -> FloatArray:
-        """Points of the rows that are not audits (random scenarios for assessment only), shape (p, d)."""
+        """Return the points, shape (p, d), of scenarios except audits (scenarios drawn at random as a check)."""
         return np.array([row.point for row in self._select_rows_without_audits(rows)]).reshape(
             -1, self._space.dimension
         )

@@ -9,9 +9,9 @@ from cornercase.study._objective import Objective
 
 
 def is_on_pareto_front(values: FloatArray) -> BoolArray:
-    """Return which of m rows of values are on the Pareto front: no other row dominates them, lower values are better.
+    """Return which of m rows of values are on the Pareto front. Lower values are better.
 
-    A row with NaN is never on the front.
+    A row is on the front if no other row dominates it. A row with NaN is never on the front.
 
     Source: H. T. Kung, F. Luccio, F. P. Preparata, "On finding the maxima of a set of vectors", Journal of the ACM 22
     (1975); implemented in moocore.
@@ -41,8 +41,8 @@ class BestScores:
         """Add the scores of m scenarios, and return whether any score is an improvement.
 
         `scores` has shape (m,), or (m, k) for a Pareto front of k metrics. Lower scores are more critical; NaN means
-        that the scenario failed. A score is an improvement if no earlier score dominates it. A score at the cap of
-        every metric, the least critical value, is an improvement only once.
+        that the scenario failed. A score is an improvement if no earlier score dominates it. A score that is the
+        least critical value (cap) of every metric is an improvement only the first time.
         """
         values = scores.reshape(len(scores), -1)
         values = values[np.isfinite(values).all(axis=1)]

@@ -57,10 +57,10 @@ class ExplorationConfig(ExplorationOptions):
     """Validated settings of an exploration; the fields are the options of `explore`.
 
     Some fields are normalized. `other` becomes a tuple if it has several names, and ``"*"`` becomes the names of all
-    other entities. `max_repeats` becomes None if it equals `repeats`. `patience` counts rounds without a score at least
-    as critical as the best so far. A score at the metric's cap is an improvement only once. In a search without rounds,
-    `batch` scenarios count as a round. Raises `InputError` for a wrong type, a value out of range or an invalid
-    criterion.
+    other entities. `max_repeats` becomes None if it equals `repeats`. `patience` counts rounds without an improvement.
+    An improvement is a score at least as critical as the best so far; but the least critical value of the metric (cap)
+    is an improvement only once. In a search without rounds, `batch` scenarios count as a round. Raises `InputError` for
+    a wrong type, a value out of range or an invalid criterion.
     """
 
     logical: LogicalScenario
@@ -138,7 +138,7 @@ class ExplorationConfig(ExplorationOptions):
         if limit < MIN_DECISIVE_RUNS:
             raise InputError(
                 f"`max_repeats` {limit}: fewer than {MIN_DECISIVE_RUNS} runs never show if a scenario is critical; give"
-                f" {MIN_DECISIVE_RUNS} or more, or only `repeats` {limit}."
+                f" {MIN_DECISIVE_RUNS} or more, or leave it out and set `repeats` to {limit}."
             )
         return limit
 
@@ -186,7 +186,7 @@ class ExplorationConfig(ExplorationOptions):
         return condition
 
     def require_metric_code(self) -> None:
-        """Raise `InputError` if the code of a metric is missing: a study describes a metric, but has no code."""
+        """Raise `InputError` if a metric is only described by a study, and its class is not known here."""
         for metric in as_metric_tuple(self.metrics):
             if isinstance(metric, StoredMetric):
                 raise metric.make_missing_class_error()
@@ -204,7 +204,7 @@ class ExplorationConfig(ExplorationOptions):
         return OPTIMIZERS.create("bayes" if self.make_objective().criterion is None else "auto")
 
     def with_stored_optimizer(self, study: Path) -> ExplorationConfig:
-        """Return the configuration with the optimizer of the file `study`, if it exists and no optimizer was given."""
+        """Return the configuration with the optimizer of `study`, if none was given and this study exists."""
         stored, metrics = "none", tuple[str, ...]()
         if self.optimizer is None and study.exists():
             # Other faults of the file are reported when it is opened for writing.
@@ -227,7 +227,7 @@ class ExplorationConfig(ExplorationOptions):
         return self.search.start(self.logical.space, self.seed, threshold=threshold, budget=self.budget)
 
     def optimizer_text(self, stored: str) -> str:
-        """Return the optimizer as text; `stored`, the text in a study, if both texts describe the same optimizer."""
+        """Return the optimizer as text; return `stored`, the text in a study, if it means the same optimizer."""
         text, name = str(self.search), stored.partition(":")[0]
         # A study may only create an optimizer that the user has named.
         if text != stored and text.partition(":")[0] == name and name in OPTIMIZERS:
@@ -268,7 +268,7 @@ class ExplorationConfig(ExplorationOptions):
         )
 
     def _stored_settings(self) -> dict[str, object]:
-        """Return the settings that the study stores besides those of the simulator, without default values."""
+        """Return the settings that the study stores besides those of the simulator; defaults are left out."""
         return {
             name: getattr(self, name)
             for name, option in CONFIG_OPTIONS.items()
@@ -277,7 +277,7 @@ class ExplorationConfig(ExplorationOptions):
 
 
 def _check_optimizer(optimizer: str | Optimizer) -> Optimizer:
-    """Return the given optimizer as an object; `InputError` if a study cannot store its name and options."""
+    """Return the optimizer as an object; `InputError` if a study cannot store the optimizer's name or options."""
     resolved = OPTIMIZERS.resolve(optimizer, "optimizer")
     OPTIMIZERS.check_name_not_taken(resolved)
     if not is_built_in(resolved):
@@ -318,13 +318,13 @@ def simulator_from_study(meta: StudyMeta, file: Path) -> Simulator:
     """Create a simulator from the name, settings and drivers that a study stores.
 
     `file` is the path of the study, for messages. Raises `InputError` if the simulator or a driver is the user's own
-    code, or an option of the simulator is a text.
+    code, or if an option of the simulator is a text, since a text could name a program.
     """
     name = _read_simulator_text(meta, file)
     if name != meta.simulator:
         raise InputError(
-            f"{file}: was explored with '{meta.simulator[:100]}'; options that are texts could name programs and are"
-            f" not taken from a study, so {_SIMULATOR_HINT}."
+            f"{file}: was explored with '{meta.simulator[:100]}', whose options are not taken from a study, since texts"
+            f" could name programs; {_SIMULATOR_HINT}."
         )
     options = {key: meta.settings.get(key) for key in COMMON_OPTIONS} | {"drivers": _collect_study_drivers(meta, file)}
     given = {key: value for key, value in options.items() if value not in (None, CONFIG_OPTIONS[key].default, {})}
@@ -332,7 +332,7 @@ def simulator_from_study(meta: StudyMeta, file: Path) -> Simulator:
 
 
 def _read_simulator_text(meta: StudyMeta, file: Path) -> str:
-    """Return a study's simulator as text; options are only included if all are numbers: texts could name programs."""
+    """Return a study's simulator as text, with its options only if all are numbers: a text could name a program."""
     name, _, options = meta.simulator.partition(":")
     if name == IMPORTED_SIMULATOR:
         raise InputError(f"{file}: contains imported recordings, so no further scenario can be run.")
@@ -348,7 +348,7 @@ def _read_simulator_text(meta: StudyMeta, file: Path) -> str:
 def _collect_study_drivers(
     meta: StudyMeta, file: Path, given: Mapping[str, DriverLike] | None = None
 ) -> dict[str, DriverLike]:
-    """Return the drivers of a study by entity; `given` are the user's own drivers: the study has only their names."""
+    """Return the drivers of a study by entity; take the user's own drivers from `given`: a study has only names."""
     drivers: dict[str, DriverLike] = dict(check_mapping("drivers", given or {}))
     for entity, driver in meta.drivers.items():
         # A study file must not make us import a module.

@@ -1,4 +1,4 @@
-"""Detect metrics with the same score in all scenarios, and thresholds that all scores or no scores pass."""
+"""Detect metrics with the same score in all scenarios, and thresholds by which every or no scenario is critical."""
 
 from __future__ import annotations
 
@@ -18,9 +18,10 @@ MIN_SCENARIOS_TO_COMPARE: Final = 10
 
 
 def describe_constant_metrics(study: StudyFile) -> dict[str, str]:
-    """Describe, by name, each metric that has the same score in all scenarios; empty for fewer than 10 scenarios.
+    """Return a sentence for each metric that has the same score in all scenarios, by name of the metric.
 
-    If a metric with equal scores is searched, the search has no gradient to follow. For other metrics this may be fine.
+    Empty for fewer than 10 scenarios. A search gets no guidance from a metric with equal scores. For metrics that are
+    not searched, equal scores may be fine.
     """
     sentences: dict[str, str] = {}
     if len(study.finished_rows()) < MIN_SCENARIOS_TO_COMPARE:
@@ -49,9 +50,9 @@ def describe_constant_metrics(study: StudyFile) -> dict[str, str]:
 
 
 def warn_about_threshold(objective: Objective, name: str) -> None:
-    """Issue a `NoticeWarning` if no score or each score of the metric passes the threshold.
+    """Issue a `NoticeWarning` if, by the range of the metric's scores, every scenario or no scenario is critical.
 
-    `name` is the argument that contains the threshold, for the message.
+    `name` is the name of the argument that contains the threshold, for the message.
     """
     if objective.weights or objective.threshold is None:
         return

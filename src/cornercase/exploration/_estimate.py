@@ -72,11 +72,12 @@ def estimate(
     output : path
         Study file to create or resume.
     budget : int, default 2000
-        Number of scenarios in total; at most 40 % of the first budget are used for learning.
+        Number of scenarios in total, of which at most 40 % are used for learning. A larger budget in a later call
+        adds no scenarios for learning.
     critical : float, optional
         Threshold: score from which a scenario is critical. Default: that of the study.
     encounter : float, default 10.0
-        Gap in m: two entities have an encounter if the gap between their boxes is at some time not larger than this.
+        Gap in m: two entities have an encounter if the gap between their boxes is at least once not larger than this.
     seed : int, default 0
         The same seed gives the same result.
     scenario : path or ScenarioFile, optional
@@ -85,7 +86,8 @@ def estimate(
     simulator : str or Simulator, optional
         By default the simulator of the study. The study's options of the simulator are only used if all are numbers.
     drivers : mapping of str to str, SystemUnderTest or Driver, optional
-        Your own drivers by entity, if the study was explored with any; presets are taken from the study.
+        Your own drivers by name of the entity, if the study was explored with your own drivers; presets are taken from
+        the study.
     metrics : sequence of Metric or str, optional
         All metrics of the study, if one is of your own class; by default they are taken from the study.
     progress : bool, default False
@@ -167,8 +169,8 @@ def _estimate_config(
     if (condition := config.make_condition()) is not None:
         if condition.reference_drivers:
             raise InputError(
-                f"{study.path}: its condition, {config.critical_if}, needs runs of reference drivers, which an estimate"
-                " does not make; give a study that was explored with a condition without them, or with a threshold."
+                f"{study.path}: its condition, {config.critical_if}, depends on reference drivers, which an estimate"
+                " does not run; give a study explored with a threshold, or with a condition without reference drivers."
             )
         if critical is not None:
             raise InputError(
@@ -191,10 +193,10 @@ def _estimate_config(
 
 
 def _stored_sample_sizes(output: Path, n_learn: int) -> tuple[int, int | None]:
-    """Return how many scenarios are for learning, and how many scenarios of the explored study are used.
+    """Return how many new scenarios are used for learning, and how many scenarios of the explored study.
 
-    A resumed estimate has the numbers that are stored in its output. A new estimate has `n_learn` and None, which
-    stands for all scenarios of the study.
+    If the estimate is resumed, both numbers are read from the file `output`. Otherwise they are `n_learn` and None,
+    which stands for all scenarios of the explored study.
     """
     if output.exists():
         with suppress(InputError), StudyFile.open(output, readonly=True) as existing:

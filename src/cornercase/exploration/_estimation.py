@@ -23,7 +23,7 @@ _MAX_SINGLE_SHARE: Final = 0.2
 
 @dataclass(frozen=True, eq=False)
 class EventOutcomes:
-    """Outcomes of n scenarios of an estimate.
+    """Outcomes of n scenarios of an estimate, for three events: critical, collision and encounter.
 
     `scores`, shape (n,), are lower for more critical scenarios, and NaN if a scenario failed. `is_critical`,
     `has_collision` and `has_encounter`, shape (n,), say whether the event occurred; False if a scenario failed.
@@ -72,8 +72,9 @@ class Estimation:
     The probability of an encounter is the fraction of these scenarios with an encounter. Later scenarios are drawn from
     a learned proposal distribution and have importance weights. The probabilities of critical scenarios and collisions
     are computed from these weights. Since weights are 1 only on average, the estimate may be 0.95 for an event that
-    occurs in all scenarios. Conditional probabilities are quotients of two probabilities. All values agree within their
-    intervals, but not to the last digit, since they come from different scenarios. `table` lists the method of each.
+    occurs in all scenarios. Conditional probabilities are quotients of two probabilities. Since the
+    probabilities come from different scenarios, they may contradict each other slightly, within their intervals.
+    `table` lists the method by which each probability was estimated.
 
     Attributes
     ----------
@@ -132,9 +133,9 @@ class Estimation:
         -------
         DataFrame
             One row per event, indexed by the name of the event. The columns are ``probability``; the bounds ``low`` and
-            ``high`` of its 95 % interval; ``error``, its relative standard error; ``scenarios``, the number of
-            scenarios behind the estimate; ``met``, the number of these scenarios in which the event occurred; and
-            ``method``. Unknown probabilities are left out.
+            ``high`` of the 95 % interval of the probability; ``error``, the relative standard error of the probability;
+            ``scenarios``, the number of scenarios behind the estimate; ``met``, the number of these scenarios in which
+            the event occurred; and ``method``. Unknown probabilities are left out.
         """
         import pandas as pd
 
@@ -164,7 +165,8 @@ class Estimation:
         Returns
         -------
         dict of str to object
-            The keys are words; ``cornercase estimate --json`` prints identifiers instead.
+            The keys are phrases, such as ``"an encounter is"``; ``cornercase estimate --json`` prints identifiers
+            instead.
         """
         conditional = {
             "critical given an encounter": self.critical_given_encounter,

@@ -1,4 +1,4 @@
-"""Explore a logical scenario into a study."""
+"""Explore a logical scenario, and store the results in a study."""
 
 from __future__ import annotations
 
@@ -160,7 +160,7 @@ def explore_config(
     *,
     retry_failed: bool = False,
 ) -> ExplorationResult:
-    """Explore with the settings of a configuration, in a new or existing study; otherwise like `explore`."""
+    """Do the same as `explore`, but with the settings of a configuration; the study may exist already."""
     file = check_path("study", study)
     check_bool("progress", progress)
     check_bool("retry_failed", retry_failed)
@@ -226,7 +226,7 @@ def _run_exploration(
 
 
 def _notices_at_center(config: ExplorationConfig, simulator: Simulator) -> tuple[Notice, ...]:
-    """List content of the scenario at the centre of the space that has no effect in the simulator."""
+    """List what the simulator ignores in the scenario file, with the parameter values at the centre of the space."""
     middle_values = config.logical.space.values(config.logical.space.center_point())
     return list_ignored_content(simulator, config.logical.scenario_file, middle_values[0] if middle_values else None)
 
@@ -251,7 +251,7 @@ def _share_cluster_connection(config: ExplorationConfig) -> Iterator[Exploration
 
 @contextmanager
 def reference_simulators(config: ExplorationConfig) -> Iterator[dict[str, Simulator]]:
-    """Create a simulator for each reference driver in the condition, with this driver in the ego.
+    """Create a simulator for each reference driver in the condition; in it, this driver drives the ego.
 
     Yields the simulators by name of the reference driver.
     """

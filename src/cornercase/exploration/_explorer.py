@@ -55,7 +55,7 @@ class ExplorationResult:
         A sentence for each metric that is not searched and has the same score in all scenarios; empty if this was
         reported before for this study.
     reproducible : bool or None
-        Whether the stored results led to the same proposals again; None if this was not checked.
+        Whether the optimizer proposed the same scenarios again from the stored results; None if this was not checked.
     failure_counts : mapping of str to int
         Number of failed scenarios by reason, the most frequent first.
     roles : str
@@ -95,7 +95,7 @@ class ExplorationResult:
         reason : str
         interrupted : bool, default False
         n_done_before : int, optional
-            Number of scenarios with a result when this search started or was resumed. By default
+            Number of scenarios with a result when this search started or was resumed. If it is not given,
             `new_constant_metrics` is empty.
 
         Returns
@@ -261,7 +261,7 @@ class ScenarioExplorer:
         return f"the search has no proposals after these {n_done} scenarios"
 
     def _stop_criteria_reason(self) -> str | None:
-        """Return a description if all stop criteria on the critical set hold, else None."""
+        """Return how well the critical set is known, as text, if all stop criteria hold; else None."""
         if not self._stopping.has_criteria:
             return None
         with self._clock("judge"):
@@ -328,6 +328,6 @@ class ScenarioExplorer:
         self._n_without_improvement = 0 if self._incumbent.update(scores) else self._n_without_improvement + 1
 
     def _read_features(self, rows: list[ScenarioRecord], scores_by_id: Mapping[int, Any]) -> FloatArray:
-        """Return f features of the recordings of m scenarios, shape (m, f); NaN for a failed scenario."""
+        """Return f features of the recording of each of m scenarios, shape (m, f); NaN for a failed scenario."""
         with self._clock("measure"):
             return self._study.features([row.id if row.id in scores_by_id else None for row in rows])

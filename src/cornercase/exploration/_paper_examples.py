@@ -92,7 +92,7 @@ def examples_folder() -> Path:
     Returns
     -------
     Path
-        Inside the package if installed, otherwise at the root of the checkout.
+        Folder inside the installed package, or at the root of a source checkout.
 
     Examples
     --------

@@ -80,7 +80,7 @@ class ProbabilityEstimator:
             return True
         if rows and row_keys_done == keys[: len(rows)]:
             raise InputError(
-                f"{self._study.path}: runs all {len(lattice)} scenarios of the space; set `budget` to"
+                f"{self._study.path}: this estimate runs all {len(lattice)} scenarios of the space; set `budget` to"
                 f" {len(lattice)} or more."
             )
         return False
@@ -124,7 +124,7 @@ class ProbabilityEstimator:
     def _first_occurrences(self, rows: Sequence[ScenarioRecord]) -> IntArray:
         """Return the indices of scenarios that do not repeat an earlier scenario.
 
-        Scenarios that were drawn before all scenarios were run may repeat.
+        Scenarios repeat if they were drawn at random before it was planned to run all scenarios of the space.
         """
         return np.sort(np.unique(np.array(self._row_keys(rows)), return_index=True)[1])
 

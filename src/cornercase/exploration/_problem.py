@@ -38,7 +38,7 @@ _DRIVER_EXAMPLE: Final = re.compile(r"Study\.open, as in (\{.*\})")
 
 
 def suggest_arguments(function: Function) -> Function:
-    """Decorate a function: its error for an unknown argument suggests a name, also for an option name of `explore`."""
+    """Make the error for an unknown argument suggest a name; it translates option names of `explore`, too."""
     return suggest_names(function, _NAME_IN_OBJECTS)
 
 
@@ -131,11 +131,12 @@ Problem.__init__ = suggest_arguments(Problem.__init__)  # type: ignore[method-as
 
 
 def _condition_text(expression: Expression) -> str:
-    """Return an expression as text; `InputError` if this text means something else when it is read as a condition."""
+    """Return an expression as text; `InputError` if the text, read as a condition, means something else."""
     if Expression.parse(expression.text, "condition").root != expression.root:
         raise InputError(
-            f"`condition` {expression}: is a formula, but in a condition a bound refers to the score of the metric;"
-            ' parse it with the language "condition", or write always(…).'
+            f"`condition` {expression}: was parsed as a formula, but as a condition this text means something else,"
+            ' since a bound then refers to the score of the metric; parse it with the language "condition", or write'
+            " always(…)."
         )
     return expression.text
 
@@ -185,7 +186,7 @@ class rename_arguments_in_errors(hide_input_error_traceback):  # noqa: N801
     """
 
     def edit(self, message: str) -> str:
-        """Replace names of arguments between backticks, and hints that apply to functions only."""
+        """Replace names of arguments between backticks, and hints that do not apply to methods of `Study`."""
         # Methods of an object do not take the file of the study or scenario as an argument.
         message = message.replace("name another study with `study`", "create another study")
         message = message.replace("name it with `scenario`", "name it as in Study.open(…, scenario=…)")

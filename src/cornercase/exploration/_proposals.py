@@ -28,8 +28,8 @@ _ROUNDING: Final = 1e-9
 class AskTell:
     """Interface to an optimizer that is the same for a search in rounds and for a search without rounds.
 
-    In a search without rounds, `pending` are the p points (of d parameters) that are running during `ask`, shape
-    (p, d).
+    In a search without rounds, `pending`, shape (p, d), are the points of the p scenarios that are running during
+    `ask`, with d parameters each.
     """
 
     def __init__(self, optimizer: Optimizer, space: ParameterSpace, asynchronous: bool) -> None:
@@ -66,7 +66,7 @@ class AskTell:
             row, column = outside[0].tolist()
             raise InputError(
                 f"{self._name} proposed {points[row, column]:.6g} for {self._space.names[column]} in ask; return values"
-                " from 0 to 1, for the lower to the upper bound of the parameter."
+                " from 0, for the lower bound of the parameter, to 1, for the upper bound."
             )
         return points
 
@@ -102,7 +102,7 @@ class ProposalSource:
     def propose(self, n_done: int, n_wanted: int) -> FloatArray:
         """Choose `n_wanted` scenarios to run after the first `n_done` scenarios; return their points, shape (m, d).
 
-        There are fewer points if the search is exhausted. Points are moved to the steps of the parameters.
+        There are fewer points if the search is exhausted. A parameter with steps gets the value of the nearest step.
         """
         meta, space = self._study.meta, self._study.space
         audits = [meta.is_audit(n_done + k + 1) for k in range(n_wanted)]

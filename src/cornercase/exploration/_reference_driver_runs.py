@@ -1,4 +1,4 @@
-"""Runs with a reference driver in the ego, for conditions of critical scenarios that depend on reference drivers."""
+"""Runs in which a reference driver drives the ego, for conditions that depend on reference drivers."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SimulateScenarios = Callable[[Simulator, Sequence[ConcreteScenario]], Iterator[R
 
 @dataclass(eq=False)
 class PendingCondition:
-    """A finished scenario with a condition that may still depend on runs with reference drivers.
+    """A scenario that has been run, but whose condition may still depend on runs with reference drivers.
 
     `results` has the results by name of the metric. `condition_state` is the condition evaluated without reference
     drivers. `reference_outcomes` has the outcomes of the runs with reference drivers, by name of the driver. `error` is
@@ -57,7 +57,7 @@ class PendingCondition:
 
 
 def make_scenario_for_reference_driver(config: ExplorationConfig, row: ScenarioRecord) -> ConcreteScenario:
-    """Return the scenario to run with a reference driver: without the varied parameters of the ego's own driver."""
+    """Return the scenario to run with a reference driver, without varied parameters of the ego's own driver."""
     return config.concrete_scenario(row.values, config.seed).without_driver_parameters(config.ego)
 
 

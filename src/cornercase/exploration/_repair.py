@@ -91,7 +91,8 @@ def repair(
     simulator : str, optional
         By default the simulator of the study. The study's options of the simulator are only used if all are numbers.
     drivers : mapping of str to str, SystemUnderTest or Driver, optional
-        Your own drivers by entity, if the study was explored with any; presets are taken from the study.
+        Your own drivers by name of the entity, if the study was explored with your own drivers; presets are taken from
+        the study.
     workers : int, default 1
         Number of simulators that run in parallel.
     memory : str or float, default "4 GB"
@@ -193,7 +194,7 @@ def _restore_name_on_error(file: Path) -> Iterator[None]:
 
 
 def _keep_damaged_file(file: Path) -> Path:
-    """Give the damaged file a second name and return that; the original name exists at all times."""
+    """Give the damaged file a second name, and return that name; the file keeps its original name, too."""
     damaged_copy = _unused_damaged_name(file)
     try:
         os.link(file, damaged_copy)
@@ -209,7 +210,7 @@ def _keep_damaged_file(file: Path) -> Path:
 
 
 def _undo_keep_damaged_file(file: Path) -> None:
-    """Remove the second name of a damaged file if a killed repair left the file with two names."""
+    """Remove the second name of a damaged file if a failed or killed repair left the file with two names."""
     for damaged_copy in takewhile(Path.exists, _damaged_file_names(file)):
         if not damaged_copy.samefile(file):
             continue
@@ -243,7 +244,8 @@ def _require_repeatable_search(file: Path, recovered: RecoveredStudy) -> None:
         command = "import" if meta.simulator == IMPORTED_SIMULATOR else "test" if meta.suite else "estimate"
         problem = f"{again} of its scenarios are damaged" if again else "the number of its scenarios is lost"
         raise InputError(
-            f"{file}: {problem}, and no search can propose them again; run `{command}` again, with another file name."
+            f"{file}: {problem}, and its scenarios were not proposed by a search that can be repeated; run"
+            f" `{command}` again, with another file name."
         )
     if meta.asynchronous and not all(recovered.rounds.values()):
         raise InputError(
@@ -298,13 +300,13 @@ def _rerun_lost_scenarios(
 
 
 class _RepairExplorer(ScenarioExplorer):
-    """Explorer that runs the pending scenarios of a damaged study, and has its optimizer propose lost ones again."""
+    """Explorer that runs pending scenarios of a damaged study; the optimizer proposes lost scenarios again."""
 
     def restore_rounds(self, rounds: Mapping[int, int], is_count_known: bool) -> None:
         """Restore the study round by round.
 
-        `rounds` maps scenario ids to rounds, 0 if unknown. If not `is_count_known`, the number of scenarios is lost,
-        and the search continues up to its budget.
+        `rounds` maps the id of each scenario to its round, or to 0 if the round is unknown. If `is_count_known` is
+        False, the number of scenarios is lost, and the search continues up to its budget.
         """
         self._is_count_known = is_count_known
         if not is_count_known:

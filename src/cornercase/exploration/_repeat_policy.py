@@ -1,4 +1,4 @@
-"""Repeated runs of a scenario; there are extra runs while it is undecided whether the scenario is critical."""
+"""Repeated runs of a scenario, with extra runs as long as they do not show whether the scenario is critical."""
 
 from __future__ import annotations
 

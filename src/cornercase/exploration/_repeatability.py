@@ -18,14 +18,14 @@ def check_repeatability(
     advice: str,
     is_random: Callable[[], bool],
 ) -> bool:
-    """Run the first finished scenario again by `run_again`, and store whether a recording is identical.
+    """Run the first finished scenario again, and store whether a new recording equals the stored recording.
 
-    `run_again` repeats the runs of a scenario, each with its seed; the study holds the recording of one of these runs.
-    `is_random` returns whether sensors are random, so that runs with other seeds differ.
+    `run_again` repeats all runs of a scenario with the seeds of these runs; the study holds the recording of one of
+    them. `is_random` returns whether sensors are random, so that runs with other seeds differ.
 
-    The check is done once per study, and only for simulators that claim to be deterministic. One check proves nothing,
-    but finds random numbers without a seed and state that persists between runs. If runs differ, a warning ends with
-    `advice`; if `advice` is empty, there is no warning. Returns False as long as no scenario has finished.
+    The check is done once per study, and only for simulators that claim to be deterministic. Equal recordings prove
+    nothing, but the check finds random numbers without a seed and state that persists between runs. If runs differ,
+    there is a warning that ends with `advice`, unless `advice` is empty. Returns False if no scenario has finished yet.
     """
     row = next((row for row in study.rows() if row.state == "done"), None)
     if row is None:

@@ -54,10 +54,10 @@ class ScenarioRunner:
     """Runner that simulates and measures scenarios, and stores each scenario as soon as it has ended.
 
     If a scenario is run several times, the run with the median score is stored (of two middle runs, the more critical
-    one), together with the scores of all runs. Failed runs are ignored unless all failed. Extra repeats are run after
+    one), together with the scores of all runs. Failed runs are ignored unless all failed. Extra repeats begin when
     all scenarios of the round have had their first repeats. If the condition depends on reference drivers, the
-    scenarios of a round are stored when all of them and their reference runs have ended. `references` are simulators
-    with a reference driver in the ego, by name.
+    scenarios of a round are stored when all of them and their reference runs have ended. `references` are simulators in
+    which a reference driver drives the ego, by name of the driver.
     """
 
     def __init__(
@@ -86,7 +86,8 @@ class ScenarioRunner:
         """Run scenarios; yield the id and the score of each successful scenario.
 
         Lower scores are more critical. The score is a float, or for a Pareto front an array of one score per metric.
-        Raises `InputError` if the first `max_failures` scenarios all failed, or the simulator itself failed.
+        Raises `InputError` if the first `max_failures` scenarios all failed by exceptions, or if the simulator
+        itself failed.
         """
         if not rows:
             return
@@ -225,9 +226,9 @@ class ScenarioRunner:
         """Raise `InputError` if the first `max_failures` scenarios all failed by exceptions."""
         if 0 < self._config.max_failures <= self._n_exceptions and not self._study.finished_rows():
             raise InputError(
-                f"The first {self._n_exceptions} scenarios all failed, so no more are run; in the last one"
+                f"The first {self._n_exceptions} scenarios all failed, so no more are run; in the last scenario"
                 f" {self._last_error}. Fix the cause, and run the same command again; `max_failures` is the limit,"
-                " and 0 means that failed scenarios are kept and the search goes on."
+                " and with 0 the search goes on however many scenarios fail."
             )
 
     def simulate(

@@ -55,7 +55,7 @@ def run_settings(runs: Runs | None) -> dict[str, Any]:
     """Return the settings of `runs` that differ from their defaults, by name; empty for None.
 
     Defaults are left out, so that a study that is continued keeps its own settings. Raises `InputError` if `runs` is
-    another object.
+    not a `Runs` object.
     """
     if runs is None:
         return {}

@@ -80,8 +80,8 @@ class StopCriteria:
     def describe_if_all_reached(self) -> str | None:
         """Describe how well the critical set is known if all criteria hold, else None.
 
-        Criteria are checked whenever the number of scenarios has grown by a tenth. This depends on the number alone, so
-        a resumed search ends like an uninterrupted search.
+        Criteria are checked whenever the number of scenarios has grown by a tenth. When they are checked depends on the
+        number of scenarios alone, so a resumed search ends like an uninterrupted search.
         """
         if _n_checks(len(self._scores)) == _n_checks(self._n_before) and not self._checks_again:
             return None
@@ -94,12 +94,12 @@ class StopCriteria:
     def request_check(self) -> None:
         """Make the next call of `describe_if_all_reached` check the criteria, whatever the number of scenarios.
 
-        A search that had ended by its criteria then ends again at once, if they still hold.
+        So a resumed search that had ended by its criteria ends again at once if the criteria still hold.
         """
         self._checks_again = True
 
     def describe_not_reached(self) -> str:
-        """Return the end of a sentence that names the criteria that do not hold; empty if all criteria hold."""
+        """Return which criteria do not hold, as text to append to a sentence; empty if all criteria hold."""
         if not self._criteria:
             return ""
         values = self._values()
@@ -136,5 +136,5 @@ class StopCriteria:
 
 
 def _n_checks(n_scenarios: int) -> int:
-    """Return how often criteria are checked at most until there are `n_scenarios`."""
+    """Return how many checks of the criteria are due by the time there are `n_scenarios` scenarios."""
     return 0 if n_scenarios < _MIN_SCENARIOS else 1 + int(math.log(n_scenarios / _MIN_SCENARIOS, _GROWTH))

@@ -33,9 +33,9 @@ def audit_sampler(space: ParameterSpace, seed: int) -> Random:
 def is_score_independent(optimizer: str, space: ParameterSpace, seed: int, points: FloatArray) -> BoolArray:
     """Return which points were chosen independently of scores, shape (n,): the initial design, or all points of a grid.
 
-    `points`, shape (n, d), are all points that the search observed. The initial design is the longest first part of
-    the search's space-filling sequence that was run completely. A point counts even if the search also proposed it
-    because of scores.
+    `points`, shape (n, d), are all points that the search observed. The initial design is the space-filling
+    sequence of the search, up to the first point that was not run. A point of the initial design counts even if the
+    search proposed it because of scores, too.
     """
     name = optimizer.partition(":")[0]
     if name == Grid.name:
@@ -77,7 +77,7 @@ def source_study_model(study: StudyFile, criterion: Criterion) -> SourceStudyMod
 def estimate_critical_set(study: StudyFile, *, last_id: int | None = None, seed: int | None = None) -> CriticalSet:
     """Estimate the critical set of a study; audits do not influence the estimate, but assess it.
 
-    Audits are scenarios drawn at random as a check. `last_id` is the id of the last scenario that counts; but the
+    Audits are scenarios drawn at random as a check. Scenarios with an id above `last_id` are ignored, except that the
     number of all scenarios decides whether features are used. `seed` replaces the seed of the study, so that two
     critical sets can be compared with the same seed. Raises ValueError if there is no threshold, if there are fewer
     than 10 scores without audits, or if all scores are equal.

@@ -81,7 +81,7 @@ def _write_varied_scenario(varied: VariedScenario, extra_files: Mapping[Path, by
     if previous is not None and study.exists():
         raise InputError(
             f"{study}: was created with another scenario file or other names for `vary` ({file.name} differs); give the"
-            " same, or name another study."
+            " same file and names, or name another study."
         )
     write_files({**extra_files, file: content})
 
@@ -92,10 +92,10 @@ def _format_range(parameter: Parameter) -> str:
 
 
 def _require_same_folder_for_roads(logical: LogicalScenario, varied: VariedScenario, file: Path) -> None:
-    """Raise `InputError` if a parameter names road files relative to a folder other than that of the study."""
+    """Raise `InputError` if a parameter names road files, and the study is not in the folder of the scenario file."""
     roads = set(logical.space.assigned_names) & varied.file.path_parameters
     if roads and file.parent.resolve() != varied.file.path.parent.resolve():
         raise InputError(
             f"{varied.file.path}: the parameter {min(roads)} names road files relative to the scenario's folder; with"
-            f" `vary`, write the study into that folder instead of {file.parent}."
+            f" `vary`, write the study into the scenario's folder, not into {file.parent}."
         )

@@ -55,7 +55,7 @@ def read_warm_start(
         if len(scores) < _MIN_SCORES or np.ptp(scores) == 0.0:
             raise InputError(
                 f"`warm_start` {path}: {len(scores)} of its {len(finished)} scenarios have a score and lie in the space"
-                f" of this search; at least {_MIN_SCORES} with different scores are needed."
+                f" of this search; at least {_MIN_SCORES} are needed, and their scores must not all be equal."
             )
         info = {
             "study": path.name,

@@ -43,13 +43,13 @@ class Metric(Configurable, ABC):
         Score from which a scenario counts as critical, unless the user gives another threshold. None if the literature
         has no threshold.
     contact_score : float or None, default None
-        Least critical score of a recording in which both entities touch. For metrics whose course does not show
-        contacts: with it, no collision counts as less critical than a near miss.
+        Least critical score of a recording in which both entities touch, for metrics whose course does not show
+        contacts. With this attribute, no collision counts as less critical than a near miss.
     severity : bool, default False
         True if harder collisions get scores beyond `contact_score`; see `score_with_contact`.
     required_option : str, default ""
-        Placeholder, such as ``"FORMULA"``, for the option that the user has to write behind the colon. For metrics that
-        mean nothing without this option; they are left out if all metrics are measured.
+        Placeholder, such as ``"FORMULA"``, for an option that the user has to write after the colon, since the metric
+        means nothing without this option. Such metrics are left out if all metrics are measured.
     ego_only : bool, default False
         True if the metric depends on the ego and the roads alone, so that other entities do not matter.
     source : str
@@ -115,8 +115,8 @@ class Metric(Configurable, ABC):
     def check_installed(self) -> None:
         """Raise if a package that the metric requires is not installed.
 
-        This is called before any scenario is run. The constructor does not check it, so studies of the metric can be
-        read without the package.
+        This is called before any scenario is run. The constructor does not check for the package, so that studies of
+        the metric can be read without it.
 
         Raises
         ------
@@ -156,7 +156,7 @@ class Metric(Configurable, ABC):
         return float(values.min() if self.lower_is_critical else values.max())
 
     def score_with_contact(self, score: float, velocity_change: float) -> float:
-        """Make the score of a recording in which both entities touch at least as critical as `contact_score`.
+        """Return the score of a recording in which both entities touch: at least as critical as `contact_score`.
 
         With `severity`, the score becomes more critical by a tenth of the velocity change in m/s: a touch without speed
         scores `contact_score`, and a velocity change of 10 m/s is more critical by 1. Thresholds keep their meaning,
@@ -210,7 +210,7 @@ class Metric(Configurable, ABC):
         Raises
         ------
         InputError
-            The metric has no default threshold, or the given one is not finite.
+            The metric has no default threshold, or `threshold` is not finite.
         """
         value = self.default_threshold if threshold is None else threshold
         if value is None:

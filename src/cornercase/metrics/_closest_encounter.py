@@ -114,9 +114,9 @@ def closest_encounter(recording: Recording, ego: str, other: str, centers: bool)
 
 
 def _closest_approach_to_origin(points: FloatArray, velocity: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the smallest distance from the origin to any of n moving points, and the first time of it.
+    """Return how close the nearest of n moving points comes to the origin, and when it first is that close.
 
-    `points`, shape (T, n, 2), are the positions at T instants, and `velocity`, shape (T, 2), is common to all points.
+    `points`, shape (T, n, 2), are the positions at T instants. All points move at the same `velocity`, shape (T, 2).
     """
     squared_speed = (velocity**2).sum(-1)
     moves = squared_speed > 0.0

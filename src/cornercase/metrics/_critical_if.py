@@ -114,8 +114,8 @@ class CriticalIf(Metric):
 
     def check_installed(self) -> None:
         raise InputError(
-            f"The metric '{self.name}' cannot be given as a metric, since a search for its condition adds it; give the"
-            " condition to a search as `critical_if`, or measure a formula: 'stl:…'."
+            f"The metric '{self.name}' cannot be given as a metric; give the condition to a search as `critical_if`,"
+            " which adds this metric, or measure a formula with the metric 'stl:…'."
         )
 
     def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
@@ -164,8 +164,8 @@ class ConditionState:
     """State of a condition for one run, before reference drivers are run.
 
     `evaluations` holds the evaluation of the condition against each other entity. The methods take `outcomes`, which
-    map the name of a reference driver to whether the driver collides. None means that the driver does not apply to the
-    scenario; a driver that was not run is missing.
+    map the name of a reference driver to whether the driver collides: None if the driver does not apply to the
+    scenario. Drivers that were not run are missing in `outcomes`.
     """
 
     metric: CriticalIf
@@ -205,6 +205,6 @@ class ConditionState:
 
 
 def find_critical_if_condition(metrics: Iterable[str]) -> str:
-    """Return the condition of the metric ``critical-if:CONDITION`` in a list of metrics; empty without it."""
+    """Return the condition of the metric ``critical-if:CONDITION`` in a list of metrics; empty without this metric."""
     parts = (metric.partition(":") for metric in metrics)
     return next((text for name, _, text in parts if name == CONDITION_METRIC), "")

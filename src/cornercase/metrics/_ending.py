@@ -1,6 +1,6 @@
 """Functions and classes of `cornercase.metrics.ending` for other subpackages.
 
-Import this module inside the functions that need it, since it loads compiled code.
+Import this module inside the functions that need it, not at the top of a file, since it loads compiled code.
 """
 
 from cornercase.metrics.ending._ego_features import measure_features_per_outcome as measure_features_per_outcome

@@ -44,7 +44,7 @@ class Evaluation:
 
     @classmethod
     def from_signals(cls, root: Node, signals: Signals, shared: Mapping[Leaf, LeafValues] | None = None) -> Evaluation:
-        """Evaluate the bounds and statements of an expression, except the ones that `shared` has already."""
+        """Evaluate the bounds and statements of an expression; values that `shared` contains are used again."""
         leaves = dict(shared or {})
         leaves |= {leaf: evaluate_leaf(leaf, signals) for leaf in iter_leaves(root) if leaf not in leaves}
         return cls(root, signals, leaves)
@@ -67,7 +67,7 @@ class Evaluation:
         return _Evaluator(self, "margin", assumed).evaluate_from_each_instant(self.root)
 
     def robustness_at_instants(self) -> FloatArray:
-        """Return the robustness at each instant by itself, shape (T,): nothing has to hold for the rest of the run."""
+        """Return the robustness at each instant, shape (T,); the expression need not hold for the rest of the run."""
         return _Evaluator(self, "margin", np.inf).evaluate_at_instants(self.root, in_time=True)
 
     def holds(self, assumed: float = np.inf) -> BoolArray:
@@ -88,9 +88,9 @@ class Evaluation:
     def robustness_if_known(self) -> FloatArray:
         """Return the robustness from each instant on, shape (T,); all NaN if the run does not show the verdict.
 
-        The verdict (whether the expression holds from the first instant on) is not shown if only unknown parts could
-        violate the expression, or if no part is known and one part is a bound. Otherwise unknown parts count against
-        the verdict.
+        The verdict is whether the expression holds from the first instant on. The run does not show the verdict if the
+        known parts do not violate the expression, but unknown parts could; or if no part is known and one part is a
+        bound. Otherwise unknown parts are assumed to contradict the verdict, so that its margin is not overstated.
         """
         unknown = [leaf for leaf, values in self.leaves.items() if not values.is_known]
         if not unknown or not self.holds()[0]:
@@ -101,11 +101,11 @@ class Evaluation:
         return self.robustness(-np.inf)
 
     def find_decisive_leaf(self) -> tuple[Leaf, int] | None:
-        """Return the bound or statement, and the instant, that decide the robustness at the first instant.
+        """Return the bound or statement that decides the robustness of the whole run, and the instant at which it does.
 
-        The margin there equals the robustness, except for the sign inside a ``not``. Other instants may have the same
-        margin by chance; the result is the first instant at which a change of the margin would change the robustness.
-        None if the robustness is infinite.
+        At this instant the margin of the bound or statement equals the robustness, with the opposite sign inside a
+        ``not``. Other instants may have the same margin by chance, so the result is the first instant at which a change
+        of the margin would change the robustness. None if the robustness is infinite.
         """
         robustness = self.robustness()[0]
         if not np.isfinite(robustness):
@@ -123,8 +123,8 @@ class Evaluation:
     def _first_decisive_instant(self, candidates: IntArray, direction: float, leaf: Leaf) -> int | None:
         """Return the first decisive instant among the `candidates`; None if none is decisive.
 
-        An instant is decisive if the robustness changes when the leaf's margins at the candidates up to this instant
-        change in `direction`.
+        An instant is decisive if the robustness changes when the margins of the leaf (a bound or statement) change in
+        `direction` (inf or -inf) at this candidate and all earlier candidates.
         """
         before, values = self.robustness()[0], self.leaves[leaf]
 
@@ -158,7 +158,7 @@ def evaluate_run(
 
     An expression that does not depend on the other entity is evaluated once. `courses` are courses of metrics that are
     already computed; with several other entities, only courses of metrics of the ego alone are used. `references` says
-    for each reference driver whether it collides. `faults` are known results on whose fault a collision is.
+    for each reference driver whether it collides. `faults` says for collisions, if known, whose fault they are.
     """
     named = (other,) if isinstance(other, str) else tuple(other)
     if len(named) > 1 and courses is not None:
@@ -212,7 +212,8 @@ class _Evaluator:
         """Return the value of a part of the expression, or of its negation, at each instant, shape (T,).
 
         `undefined_value` replaces the value of a bound at instants at which it is not defined. `in_time` says whether
-        the part is below a temporal operator: there, a statement is about each instant instead of the whole run.
+        the part is inside a temporal operator. Inside, a statement such as ``collision`` is about each instant;
+        outside, it is about the whole run.
         """
         if not isinstance(node, Operation):
             return self._leaf_values(node, negated, undefined_value, in_time)

@@ -31,7 +31,8 @@ _LENGTH_SCALE_BOUNDS, _SIGNAL_BOUNDS, _MIN_NOISE = (1e-2, 10.0), (1e-2, 30.0), 1
 class MaternKernel:
     """Matérn kernel (5/2) with a length scale per dimension.
 
-    `signal` is the standard deviation of the process, `noise` the standard deviation of the error of single values.
+    `signal` is the standard deviation of the Gaussian process. `noise` is the standard deviation of the error of a
+    single value.
     """
 
     length_scales: FloatArray
@@ -39,11 +40,11 @@ class MaternKernel:
     noise: float
 
     def covariance(self, a: FloatArray, b: FloatArray) -> FloatArray:
-        """Return the covariance of the process, without noise, between points a (n, e) and points b (m, e), (n, m)."""
+        """Return the covariance, shape (n, m), of points `a` (n, e) with points `b` (m, e), without noise."""
         return np.asarray(self._scaled_covariance(a / self.length_scales, b / self.length_scales), dtype=np.float64)
 
     def covariance_lower_half(self, points: FloatArray) -> FloatArray:
-        """Return the lower half of the covariance (n, n) of points (n, e); most entries above the diagonal are 0."""
+        """Return the covariance, shape (n, n), of points (n, e); only the diagonal and the entries below are valid."""
         scaled = points / self.length_scales
         covariance = np.zeros((len(points), len(points)), order="F")
         for first in range(0, len(points), _BLOCK_SIZE):
@@ -52,7 +53,7 @@ class MaternKernel:
         return covariance
 
     def covariance_in_single_precision(self, a: FloatArray, b: FloatArray) -> Floats:
-        """Return the covariance between points a (n, e) and points b (m, e), (n, m), in single precision."""
+        """Do the same as `covariance`, but in single precision."""
         return self._scaled_covariance(
             (a / self.length_scales).astype(np.float32), (b / self.length_scales).astype(np.float32)
         )
@@ -69,9 +70,9 @@ def evenly_spaced_indices(count: int, max_count: int) -> IntArray:
 
 
 def indices_with_rare_values(count: int, max_count: int, is_rare: BoolArray | None) -> IntArray:
-    """Return at most `max_count` indices of `count` values; up to half of them are rare values.
+    """Choose at most `max_count` of `count` values, of which up to half are rare; return their indices.
 
-    Indices are evenly spaced among the rare values, and among the other values.
+    The chosen rare values are evenly spaced among all rare values, the chosen other values among all other values.
     """
     if is_rare is None or count <= max_count or not is_rare.any():
         return evenly_spaced_indices(count, max_count)
@@ -91,10 +92,11 @@ def fit_kernel(
 ) -> MaternKernel:
     """Fit a kernel: maximize the marginal likelihood times a log-normal prior on the length scales.
 
-    The prior bounds the length scales if there are few points; its median grows with the root of the number of
-    dimensions. `values` have a mean of 0. At most 40 values per dimension are used, but at least 160 and at most 400.
-    Up to half of the used values are rare values (`is_rare`). The search ends when a step raises the logarithm of the
-    objective by less than `tolerance` times its value, or times 1 if that is more.
+    The prior keeps the length scales in a plausible range if there are few points. The median of the prior grows with
+    the root of the number of dimensions. `values` must have a mean of 0. The fit uses up to 40 values per dimension,
+    with a limit of at least 160 and at most 400 values in total. Up to half of these are rare values (`is_rare`). The
+    search for the maximum ends when a step improves the logarithm of the objective by less than the fraction
+    `tolerance`; if the logarithm is between -1 and 1, by less than `tolerance` itself.
 
     Source: C. E. Rasmussen, C. K. I. Williams, "Gaussian Processes for Machine Learning" (2006), equations 4.17, 5.8
     and 5.9. The prior is scaled as in C. Hvarfner, E. O. Hellsten, L. Nardi, "Vanilla Bayesian optimization performs
@@ -122,9 +124,9 @@ def fit_kernel(
 
 
 class _NegativeLogPosterior:
-    """Objective of the fit and its gradient: negative logarithm of marginal likelihood times prior.
+    """Objective of the fit, with its gradient: the negative logarithm of the product of marginal likelihood and prior.
 
-    `squares` (e, n * n) holds the squared differences of all pairs of points.
+    `squares`, shape (e, n * n), holds the squared differences between all pairs of n points in each of e dimensions.
     """
 
     def __init__(self, squares: FloatArray, values: FloatArray) -> None:
@@ -181,7 +183,7 @@ def _pairwise_distances(a: Floats, b: Floats) -> Floats:
 
 
 def matern_correlations(distance: Floats) -> Floats:
-    """Compute Matérn correlations (5/2) at distances that are divided by the length scales; overwrite `distance`."""
+    """Compute Matérn correlations (5/2) from distances in units of the length scale; `distance` is overwritten."""
     number = distance.dtype.type
     distance *= number(_ROOT5)
     polynomial = distance * number(1.0 / 3.0)

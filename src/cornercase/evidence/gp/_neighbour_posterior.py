@@ -22,11 +22,11 @@ _MIN_VARIANCE: Final = 1e-12
 
 
 class NearestPosterior:
-    """Posterior of a Gaussian process that uses, at each point, only the nearest values: 12 per dimension, 32 to 64.
+    """Posterior of a Gaussian process that predicts each point from the values nearest to it only.
 
-    Distances are measured in length scales. The cost per point does not depend on the number of values. Detail is
-    preserved that 512 inducing points would smooth away, but there is no joint distribution of several points. There
-    must be more than 64 values.
+    These are 12 values per dimension, but at least 32 and at most 64. Distances are measured in length scales. The cost
+    per point hardly depends on the number of values. Details stay visible that 512 inducing points would smooth away,
+    but a joint distribution of several points is not available. The posterior needs more than 64 values.
 
     Source: A. V. Vecchia, "Estimation and model identification for continuous spatial processes", Journal of the Royal
     Statistical Society B 50 (1988); A. Datta, S. Banerjee, A. O. Finley, A. E. Gelfand, "Hierarchical nearest-neighbor
@@ -43,7 +43,7 @@ class NearestPosterior:
         return cKDTree(self._points)
 
     def predict(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Predict the process at points (m, e); return means and standard deviations, (m,) each."""
+        """Predict the process at points (m, e); return means and standard deviations, each of shape (m,)."""
         return self._predict_excluding(points / self._kernel.length_scales, np.full(len(points), -1))
 
     def leave_one_out(self, indices: IntArray | None = None) -> tuple[FloatArray, FloatArray]:
@@ -56,9 +56,9 @@ class NearestPosterior:
         return mean, np.hypot(deviation, self._kernel.noise)
 
     def _predict_excluding(self, scaled_points: FloatArray, excluded: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Predict the process at scaled points (m, e); return means and standard deviations, (m,) each.
+        """Predict the process at points (m, e) in units of the length scales; return means and standard deviations.
 
-        The value with index `excluded[i]` is not used at point i; -1 excludes no value.
+        The prediction at point i does not use the value with index `excluded[i]`; -1 excludes no value.
         """
         mean, variance = np.empty(len(scaled_points)), np.empty(len(scaled_points))
 
@@ -75,7 +75,7 @@ class NearestPosterior:
         return mean, np.sqrt(np.maximum(variance, _MIN_VARIANCE * self._kernel.signal**2))
 
     def _nearest_indices(self, scaled_points: FloatArray, excluded: IntArray) -> IntArray:
-        """Return the indices of the k values nearest to each point, without the excluded value, (m, k)."""
+        """Return the indices, shape (m, k), of the k values nearest to each point; skip the excluded value."""
         near = np.asarray(self._tree.query(scaled_points, k=self._count + 1)[1], dtype=np.int64)
         keep = near != excluded[:, None]
         # If none is excluded, drop the farthest.

@@ -1,8 +1,8 @@
 """Posterior of a Gaussian process with a given kernel: exact, or with inducing points.
 
-Both posteriors have the same form. The mean at a point is the product of its covariances with `points` and `weights`.
-The variance that the values explain there is the squared norm of `inverse_factor` times these covariances. More values
-can be added to both, which updates the factor instead of computing it again.
+Both kinds predict a point from its covariances with the attribute `points`. The mean is the scalar product of these
+covariances and `weights`. The variance explained by the values is the squared norm of `inverse_factor` times these
+covariances. More values can be added to both kinds of posterior, without computing everything again.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class ExactPosterior:
         self.weights = self.inverse_factor.T @ (self.inverse_factor @ values)
 
     def with_more_values(self, points: FloatArray, values: FloatArray) -> ExactPosterior:
-        """Return the posterior with additional values; up to rounding, the result is the posterior of all values."""
+        """Return the posterior of the old and the new values; up to rounding, as if computed from all at once."""
         cross = self._kernel.covariance(points, self.points) @ self.inverse_factor.T
         corner = _inverse_cholesky_factor(
             _covariance_with_noise(self._kernel, points) - cross @ cross.T, _VALUE_JITTER * self._kernel.signal**2
@@ -75,13 +75,14 @@ class ExactPosterior:
 class SparsePosterior:
     """Approximate posterior for many values, by inducing points.
 
-    The variance that inducing points leave unexplained at the other points is treated as independent noise (FITC).
-    `relevance` (n,), above 0, makes points more likely to be inducing points. If a posterior `base` is given, its
-    inducing points are used, and the new points and values are added to those of `base`. `n_inducing` is a multiple of
-    32, by default 512.
+    Inducing points are k of the n points, through which all values are taken into account. The variance at a point that
+    the inducing points do not explain is treated as independent noise (FITC). Points with a higher `relevance` (n,),
+    above 0, are more likely to become inducing points. If a posterior `base` is given, its inducing points are used
+    again, and `points` and `values` are added to those of `base`. The number of inducing points, `n_inducing`, is a
+    multiple of 32, by default 512.
 
-    The attributes `points` (k, e) are the inducing points; `weights` (k,) and `inverse_factor` (k, k) correspond to
-    `ExactPosterior`. `all_points` (n, e) and `values` (n,) are all points and values.
+    The attribute `points` (k, e) holds the inducing points; `weights` (k,) and `inverse_factor` (k, k) have the same
+    meaning as in `ExactPosterior`. `all_points` (n, e) and `values` (n,) are all points and values.
 
     Source: E. Snelson, Z. Ghahramani, "Sparse Gaussian processes using pseudo-inputs", NIPS (2005). Inducing points are
     chosen as in Y. Chen, E. N. Epperly, J. A. Tropp, R. J. Webber, "Randomly pivoted Cholesky", Communications on Pure
@@ -141,7 +142,7 @@ class SparsePosterior:
         return mean, deviation
 
     def _leave_one_out_block(self, points: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Predict some of the known values, each from all other values; return means and standard deviations."""
+        """Predict a block of known values, each from all other values; return means and standard deviations."""
         rows, root = self._project_on_inducing_points(points)
         projections = multiply_by_lower_transposed(rows, self._inverse_precision_factor)
         explained = np.einsum("ij,ij->i", projections, projections)
@@ -150,7 +151,7 @@ class SparsePosterior:
         return values - error, 1.0 / np.sqrt(precision)
 
     def _project_on_inducing_points(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return whitened covariances with the inducing points, and the standard deviations left unexplained."""
+        """Return whitened covariances of points with the inducing points, and the unexplained standard deviations."""
         rows = multiply_by_lower_transposed(self._kernel.covariance(points, self.points), self._whitening)
         variance = self._kernel.signal**2
         unexplained = variance - np.einsum("ij,ij->i", rows, rows)
@@ -161,7 +162,7 @@ AnyPosterior = ExactPosterior | SparsePosterior
 
 
 def _block_slices(count: int) -> list[slice]:
-    """Return slices that cover `count` values, with at most 8192 values each."""
+    """Return slices of at most 8192 values each, which together cover `count` values."""
     return [slice(first, first + _BLOCK_SIZE) for first in range(0, count, _BLOCK_SIZE)] or [slice(0, 0)]
 
 
@@ -189,7 +190,8 @@ def make_posterior(
 ) -> AnyPosterior:
     """Return the posterior of a process: exact for few values, otherwise with inducing points.
 
-    The posterior is exact for up to `max_points` values, by default 512. This is also the number of inducing points.
+    The posterior is exact for up to `max_points` values, by default 512. For more values, the posterior has
+    `max_points` inducing points.
     """
     if len(points) <= (max_points or MAX_EXACT_VALUES):
         return ExactPosterior(kernel, points, values)
@@ -218,7 +220,7 @@ def _choose_inducing_points(
 
 
 def _covariance_with_noise(kernel: MaternKernel, points: FloatArray) -> FloatArray:
-    """Return the covariance of values at points, including their noise."""
+    """Return the covariance of the values at points, including the noise of the values."""
     covariance = kernel.covariance(points, points)
     covariance[np.diag_indices(len(points))] += kernel.noise**2
     return covariance

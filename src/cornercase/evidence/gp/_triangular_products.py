@@ -20,7 +20,7 @@ def multiply_lower_triangular(lower: FloatArray, right: FloatArray) -> FloatArra
 
 
 def multiply_by_lower_transposed(left: FloatArray, lower: FloatArray) -> FloatArray:
-    """Multiply a matrix with the transpose of a lower triangular matrix; entries above its diagonal are not read."""
+    """Multiply a matrix with the transpose of `lower`; entries above the diagonal of `lower` are not read."""
     return multiply_lower_triangular(lower, left.T).T
 
 
