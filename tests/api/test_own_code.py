@@ -218,7 +218,10 @@ def metric_class(**attributes: object) -> type[cc.Metric]:
 @pytest.mark.parametrize(
     ("metric", "expected"),
     [
-        (metric_class(name="wttc")(), "The metric Mine has the name 'wttc' of another metric; give it another `name`."),
+        (
+            metric_class(name="wttc")(),
+            "The metric Mine has the name 'wttc' of another metric; change the `name` of the class.",
+        ),
         (metric_class(name=None)(), "The metric class Mine lacks `name`; set it to a text, such as 'speed-nearby'."),
         (
             metric_class(lower_is_critical=None)(),
@@ -269,7 +272,7 @@ def proposing(points: object, name: str = "mine") -> cc.Optimizer:
         (proposing(np.full((2, 3), np.nan)), "The optimizer 'mine' proposed nan for ego_start in ask"),
         (
             proposing(np.zeros((1, 3)), "sobol"),
-            "The optimizer Mine has the name 'sobol' of another optimizer; give it an",
+            "The optimizer Mine has the name 'sobol' of another optimizer; change the",
         ),
     ],
 )

@@ -290,7 +290,7 @@ class NumberForUnit(Aspect):
         ),
         (
             Refuses,
-            r"^The aspect 'odd' failed when it was created: RuntimeError: not today \(test_aspects\.py line .*; fix it\.$",
+            r"^The aspect 'odd' failed when it was created: RuntimeError: not today \(test_aspects\.py line .*; fix its code\.$",
         ),
         (WithoutUnit, r"^The aspect 'odd' cannot be created: AttributeError: .*unit"),
         (WithoutSeries, r"^The aspect 'odd' failed when it was created: TypeError: .*series"),

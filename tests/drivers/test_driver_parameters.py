@@ -204,12 +204,12 @@ def test_a_whole_number_that_may_be_none_stays_one(annotation):
 
     vars(Counts.__init__)["__wrapped__"].__annotations__["steps"] = annotation
     cc.simulate(X, {"Ego.steps": 2.0}, drivers={"Ego": Counts()}, duration=0.5)
-    with pytest.raises(cc.InputError, match=r"'steps' takes a whole number, not 1\.5; give a range a step of 1\."):
+    with pytest.raises(cc.InputError, match=r"'steps' takes a whole number, not 1\.5; use a step of 1 in its range\."):
         cc.simulate(X, {"Ego.steps": 1.5}, drivers={"Ego": Counts()})
 
 
 def test_a_whole_number_stays_one():
-    with pytest.raises(cc.InputError, match=r"'steps' takes a whole number, not 1\.5; give a range a step of 1\."):
+    with pytest.raises(cc.InputError, match=r"'steps' takes a whole number, not 1\.5; use a step of 1 in its range\."):
         cc.simulate(X, {"Ego.steps": 1.5}, drivers={"Ego": BRAKE})
     cc.simulate(X, {"Ego.steps": 2.0}, drivers={"Ego": BRAKE}, duration=0.5)
 

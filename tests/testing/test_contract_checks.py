@@ -427,7 +427,7 @@ def test_agents_that_cannot_be_listed_are_a_fault_of_the_simulator():
         (("builtin:",), "ends in a colon"),
         (
             ("my_sims:Braking",),
-            "to use a class Braking of your own, name it in the entry points of an installed package",
+            "to use your own class Braking, register the class as an entry point of an installed package",
         ),
         (("builtin", "-o", "here.txt/proof.zip"), "-o here.txt/proof.zip: cannot be written into here.txt"),
     ],

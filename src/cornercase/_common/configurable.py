@@ -22,8 +22,8 @@ class Configurable:
 
     The `repr` of an object is Python code that makes the object; the `str` is the text for the command line. Two
     objects are equal if their classes and options are equal. Constructors of subclasses are wrapped so that they store
-    the options. `name` is the name in the registry. If the object was made with options, `name` contains these options:
-    ``"level-set:filling=0.1"``. `options_outside_name` lists options that `name` leaves out.
+    the options. `name` is the name under which the class is registered, followed by the options of the object, if any:
+    ``"ttc:accelerating=true"``. `options_outside_name` lists options that are not part of `name`.
     """
 
     name: str = ""
@@ -83,14 +83,14 @@ def given_options(configured: object) -> dict[str, Any]:
 
 
 def given_scalar_options(configured: object) -> dict[str, bool | int | float | str]:
-    """Return the given options of an object whose values are of type bool, int, float or str."""
+    """Return those options given to an object that have a value of type bool, int, float or str."""
     return {
         name: value for name, value in given_options(configured).items() if isinstance(value, bool | int | float | str)
     }
 
 
 def numeric_options(configured: Configurable) -> dict[str, float]:
-    """Return the numeric options of an object by name: given values, and defaults of the other options."""
+    """Return names and values of an object's numeric options; options that were not given have their default value."""
     defaults = {name: parameter.default for name, parameter in declared_options(type(configured)).items()}
     values = {**defaults, **given_options(configured)}
     return {
@@ -117,10 +117,10 @@ def describe_as_text(configured: Configurable) -> str:
 def require_storable_options(
     configured: Configurable, described: Collection[str] = (), hint: str = "give numbers, texts, True or False"
 ) -> None:
-    """Raise `InputError` if an option of an object has a value that a study cannot store and compare.
+    """Raise `InputError` if an option of an object has a value that a study file cannot store and compare.
 
-    `described` names options that the study compares in another way. `hint` is a clause of the message that says what
-    to do.
+    `described` names options that are not checked, because the study file stores them in another form. `hint` is the
+    clause of the message that says what to do.
     """
     stored = {*given_scalar_options(configured), *configured.options_outside_name, *described}
     defaults = _factory_defaults(configured)
@@ -146,10 +146,10 @@ def format_option_value(value: object) -> str:
 
 
 def declared_options(factory: Callable[..., Any]) -> dict[str, Parameter]:
-    """Return the parameters that a class or function accepts by name.
+    """Return the parameters of a class or function that can be given as keyword arguments.
 
-    If the constructor of a class takes ``**options``, the parameters of its base classes are included. Other keywords
-    are not, even if ``**options`` would accept them: a misspelled name would go unnoticed.
+    If the constructor of a class takes ``**options``, the parameters of the base classes are included. Other keywords
+    count as unknown, even though ``**options`` would accept them, so that misspelled names are noticed.
     """
     parameters = dict(signature(factory).parameters)
     callable_ = unwrap_factory(factory)
@@ -180,7 +180,7 @@ def list_numeric_option_names(factory: Callable[..., Any]) -> list[str]:
 
 
 def annotated_types(annotation: object) -> set[str]:
-    """Return the names of the types that an annotation allows, as `int` and `str`, without None."""
+    """Return the names of the types that an annotation allows: ``{"int", "str"}`` for ``int | str | None``."""
     # Annotations are strings if they are not evaluated.
     text = annotation.__name__ if isinstance(annotation, type) else str(annotation)
     return {*re.findall(r"\w+", text)} - {"None", "Optional", "Union", "typing", "types"}
@@ -189,7 +189,7 @@ def annotated_types(annotation: object) -> set[str]:
 def copy_with_numeric_options(configured: Any, numbers: Mapping[str, float]) -> Any:
     """Return a copy of a configured object in which some options have new numbers.
 
-    Options that the constructor declares as int get an int. Raises `ValueError` if such a number is not whole.
+    Options that the constructor declares as int get an int; `ValueError` if the new number is not a whole number.
     """
     declared = declared_options(type(configured))
     options: dict[str, float] = {}
@@ -198,7 +198,7 @@ def copy_with_numeric_options(configured: Any, numbers: Mapping[str, float]) -> 
         options[name] = number
         if annotated_types(annotation) == {"int"}:
             if not float(number).is_integer():
-                raise ValueError(f"'{name}' takes a whole number, not {number:g}; give a range a step of 1")
+                raise ValueError(f"'{name}' takes a whole number, not {number:g}; use a step of 1 in its range")
             options[name] = int(number)
     return configured.with_options(**options)
 

@@ -1,4 +1,4 @@
-"""Protection against the current folder: its modules are only run on request, and libraries read no settings there."""
+"""Protection against files in the current folder: modules are imported only on request, settings files are ignored."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ class _CurrentFolderFinder:
     def _is_requested(self) -> bool:
         """Return whether the import was requested by the user, or by a module from the current folder.
 
-        Optional imports that other packages try meanwhile must not find modules of the current folder.
+        If another package tries an optional import meanwhile, this import must not find a module of the current folder.
         """
         frame: FrameType | None = sys._getframe(2)
         while frame is not None and (name := _top_package(frame)) in _IMPORT_MACHINERY:
@@ -184,7 +184,10 @@ def _isolate_spawned_children() -> Iterator[None]:
 
 
 def _isolate_preparation_data(data: dict[str, Any]) -> dict[str, Any]:
-    """Return the start data of a child process, without the user's script and without the current folder."""
+    """Return the data with which `multiprocessing` starts a child; leave out the user's script.
+
+    The `sys.path` of the child is as described in `isolate_children`.
+    """
     without_script = {name: value for name, value in data.items() if not name.startswith("init_main")}
     return {**without_script, "sys_path": _child_sys_path()}
 
@@ -196,8 +199,8 @@ def isolate_children() -> AbstractContextManager[None]:
     """Within the block, start child processes that neither run the main script nor import from the current folder.
 
     This applies to `multiprocessing`. A script then needs no ``if __name__ == "__main__"``, and objects that the script
-    defines are sent by value. The current folder is not on the `sys.path` of the children, unless PYTHONPATH or an
-    installed package names the folder. Blocks may overlap.
+    defines are sent by value. The current folder is not on the `sys.path` of the children, unless it contains the
+    script, or PYTHONPATH or an installed package names it. Blocks may overlap.
     """
     return _safe_child_start()
 

@@ -130,7 +130,7 @@ class StudyLostError(RuntimeError):
 
 
 class RunLostError(SimulatorError):
-    """Loss of a run due to a signal, lack of memory or a full disk; the scenario may be run again."""
+    """Simulation that was ended by a signal, lack of memory or a full disk; the scenario may be run again."""
 
 
 class NoticeWarning(UserWarning):
@@ -156,7 +156,7 @@ def is_machine_error(error: BaseException | None) -> bool:
 
 
 class hide_input_error_traceback(ContextDecorator):  # noqa: N801
-    """Context manager or decorator for public functions: hide the traceback inside cornercase of an `InputError`.
+    """Context manager or decorator for public functions: raise an `InputError` without cornercase's own traceback.
 
     The cause of the error is hidden, too, unless the user's code or the machine is at fault.
     """
@@ -178,7 +178,7 @@ class hide_input_error_traceback(ContextDecorator):  # noqa: N801
 
 @contextmanager
 def skip_if_not_enough_data() -> Iterator[None]:
-    """Within the block, suppress a `ValueError`, which means too few data; an `InputError` still passes."""
+    """Within the block, suppress a `ValueError`, which means that there are too few data, but not an `InputError`."""
     try:
         yield
     except InputError:

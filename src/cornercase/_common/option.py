@@ -181,7 +181,7 @@ def _quote(value: object) -> str:
 
 
 def option(default: Any, text: str, **description: Any) -> Any:
-    """Return a dataclass field that describes an option; `text` is the help text; a callable `default` is called."""
+    """Return a dataclass field that describes an option. `text` is the help text; `default` may be a factory."""
     values = {"default_factory": default} if callable(default) else {"default": default}
     return field(**values, metadata={"option": Option(text, **description)})
 

@@ -161,8 +161,8 @@ def detach_from_terminal() -> None:
 def block_interrupts(*other_signals: signal.Signals) -> Iterator[None]:
     """Block Ctrl-C and `other_signals` in this thread, and in processes and threads that it starts within the block.
 
-    A child stays blocked until it calls `detach_from_terminal`, so nothing interrupts its imports. Without signal
-    masks, as on Windows, this does nothing.
+    In a child process, the signals stay blocked until the child calls `detach_from_terminal`, so they do not interrupt
+    its imports. On platforms without signal masks, such as Windows, this does nothing.
     """
     if not hasattr(signal, "pthread_sigmask"):
         yield
@@ -265,7 +265,7 @@ def termination_signals() -> tuple[signal.Signals, ...]:
 
 
 def signal_main_thread(signal_number: int) -> None:
-    """Send a signal to the main thread, which ends its waiting if the platform supports signals to threads."""
+    """Send a signal to the main thread. On platforms that can signal threads, this interrupts a wait of that thread."""
     if hasattr(signal, "pthread_kill"):
         signal.pthread_kill(threading.main_thread().ident or 0, signal_number)
     else:
@@ -318,7 +318,7 @@ def make_parent_check() -> Callable[[], bool]:
 def replace_unencodable_output() -> None:
     """Make stdout and stderr replace characters that their encoding lacks, instead of failing.
 
-    On Windows, redirected output is limited to 256 characters by default.
+    On Windows, the default encoding of redirected output has only 256 different characters.
     """
     for stream in (sys.stdout, sys.stderr):
         reconfigure = getattr(stream, "reconfigure", None)

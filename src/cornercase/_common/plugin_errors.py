@@ -34,9 +34,9 @@ _TIME_PATTERN: Final = re.compile(r" at t = (\d[\d.e+-]*) s\b")
 def convert_plugin_errors(name: str, plugin: object, activity: str = "") -> Iterator[None]:
     """Within the block, turn exceptions of a user's plug-in into `UserCodeError`.
 
-    The message begins with `name`, such as ``"The simulator 'braking'"``. `activity` says when the exception was
-    raised: ``"in ask"``. An `InputError` and a request to end the program pass unchanged. Exceptions of built-in
-    plug-ins pass unchanged, too, because they are bugs of cornercase.
+    The message begins with `name`, such as ``"The simulator 'braking'"``. `activity` says when the plug-in failed, such
+    as ``"when it was created"``. An `InputError` and a request to end the program pass unchanged. Exceptions of
+    built-in plug-ins pass unchanged, too, because they are bugs of cornercase.
     """
     with collect_interrupts():
         n_requests = count_termination_requests()
@@ -49,7 +49,7 @@ def convert_plugin_errors(name: str, plugin: object, activity: str = "") -> Iter
             if is_built_in(plugin):
                 raise
             when = f" {activity}" if activity else ""
-            raise UserCodeError(f"{name} failed{when}: {describe_error(error)}; fix it.") from error
+            raise UserCodeError(f"{name} failed{when}: {describe_error(error)}; fix its code.") from error
 
 
 def unwrap_factory(factory: Callable[..., object]) -> Callable[..., object]:
@@ -84,7 +84,7 @@ def user_code_error(failure: PluginError) -> UserCodeError:
 def reraise_termination_request(error: BaseException, n_requests_before: int) -> None:
     """Raise `KeyboardInterrupt` if an exception was caused by a request to end the program.
 
-    `n_requests_before` is the value of `count_termination_requests` before the code ran that raised the exception.
+    `n_requests_before` is the result of `count_termination_requests` before the call that raised the exception.
     """
     if is_termination_request(error, n_requests_before):
         if isinstance(error, KeyboardInterrupt):
@@ -136,7 +136,7 @@ def _merge_times(texts: list[str]) -> str:
 
 
 def _traceback_lines(error: BaseException) -> list[str]:
-    """Return the last lines of a traceback, beginning with the first call out of cornercase."""
+    """Return the last lines of a traceback, without the lines before cornercase called code outside of cornercase."""
     frames = list(traceback.walk_tb(error.__traceback__))
     foreign = [k for k, (frame, _) in enumerate(frames) if not frame.f_code.co_filename.startswith(_PACKAGE_FOLDER)]
     frames = frames[foreign[0] :] if foreign else []

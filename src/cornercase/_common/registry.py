@@ -38,7 +38,7 @@ def entry_points(*, group: str, name: str | None = None) -> EntryPoints:
 
 @lru_cache(maxsize=16)
 def _read_entry_points(group: str, folders: tuple[tuple[str, int | None], ...]) -> EntryPoints:
-    """Read the entry points of a group; `folders` are import folders with modification times, as keys of the cache."""
+    """Read the entry points of a group; the result is cached until import folders or their times change."""
     # Reading the files of some hundred packages takes as long as a short command.
     return metadata.entry_points(group=group)
 
@@ -144,8 +144,8 @@ class Registry(Generic[T]):
         # A cell of a notebook that runs again defines the same class again.
         if (registered.__module__, registered.__qualname__) != (cls.__module__, cls.__qualname__):
             raise InputError(
-                f"The {self._kind} {cls.__qualname__} has the name '{name}' of another {self._kind}; give it another"
-                " `name`."
+                f"The {self._kind} {cls.__qualname__} has the name '{name}' of another {self._kind}; change the"
+                " `name` of the class."
             )
 
     def _is_built_in_name(self, name: str) -> bool:
@@ -174,7 +174,8 @@ class Registry(Generic[T]):
 
     def __getitem__(self, name: object) -> NoReturn:
         raise TypeError(
-            f"A registry has no items; create({name!r}) makes the {self._kind}, and get_class({name!r}) is its class."
+            f"A registry cannot be indexed; create({name!r}) makes the {self._kind}, and get_class({name!r}) returns"
+            " its class."
         )
 
     def __repr__(self) -> str:
@@ -318,7 +319,7 @@ class Registry(Generic[T]):
         loaded, _ = self._load(name.partition(":")[0])
         if not isinstance(loaded, type):
             raise InputError(
-                f"The {self._kind} '{name}' is registered as a function that creates it; register the class itself."
+                f"The {self._kind} '{name}' is registered as a function; register the class that the function creates."
             )
         return loaded
 
@@ -327,8 +328,8 @@ class Registry(Generic[T]):
         base, _, text = name.partition(":")
         if base not in self and text.isidentifier():
             raise InputError(
-                f"There is no {self._kind} '{base}'; to use a class {text} of your own, name it in the entry points of"
-                f" an installed package, in the group {self._group}."
+                f"There is no {self._kind} '{base}'; to use your own class {text}, register the class as an entry point"
+                f" of an installed package, in the group {self._group}."
             )
 
     def _load(self, name: str | type[T]) -> tuple[Callable[..., T], dict[str, Any]]:
@@ -356,7 +357,7 @@ class Registry(Generic[T]):
             actual = f"{getattr(loaded, '__module__', '?')}.{getattr(loaded, '__qualname__', loaded)}"
             public = f"{base.__module__.rpartition('.')[0]}.{base.__qualname__}"
             raise InputError(
-                f"The {self._kind} '{name}' is {actual}, which is not a subclass of {public}; derive it from that."
+                f"The {self._kind} '{name}' is {actual}, which is not a subclass of {public}; register a subclass."
             )
         return loaded
 
@@ -430,7 +431,7 @@ def _plain_type(parameter: Parameter) -> type[Any] | None:
 
 
 def _parse_option_value(text: str, plain_type: type[Any] | None) -> bool | float | str:
-    """Parse the value of an option; the message of a ValueError is the expected kind of value, as ``"a number"``."""
+    """Parse the value of an option; on failure, raise ValueError with what was expected, such as ``"a number"``."""
     if plain_type is str:
         return text
     if text.lower() in ("true", "false") and plain_type in (bool, None):

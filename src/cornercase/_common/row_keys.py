@@ -23,8 +23,8 @@ def row_keys(points: FloatArray) -> list[bytes]:
 def no_duplicates(points: FloatArray, keys: Collection[bytes]) -> bool:
     """Return whether all rows of `points` differ from one another and from the rows with the given `keys`.
 
-    `points` has the shape (n, d); `keys` are those of `row_keys`. The result True is certain. The result False is wrong
-    after a hash collision, about once in 10 billion calls with 32,768 rows.
+    `points` has the shape (n, d); `keys` are results of `row_keys`. True is always right. False is wrong if two
+    different rows have the same 64-bit hash: less than once in 10 billion calls with 32,768 rows.
     """
     known_words = np.frombuffer(b"".join(keys), dtype=np.uint64).reshape(-1, points.shape[1])
     words = np.concatenate([np.ascontiguousarray(points, dtype=np.float64).view(np.uint64), known_words])

@@ -1,4 +1,4 @@
-"""Objects of the public API: studies, suites, comparisons and pages."""
+"""Objects of the public API: studies, suites, comparisons and HTML pages."""
 
 import lazy_loader as lazy
 

@@ -15,7 +15,7 @@ def extract_exploration_settings(simulator: Simulator | str) -> dict[str, Any]:
     """Return the settings of an exploration that a simulator contains, by name.
 
     The settings are the simulator itself and, if given, time step, duration, effect of collisions, and drivers. Raises
-    `InputError` if the simulator is unknown or no simulator, or if a study cannot describe one of its drivers.
+    `InputError` if `simulator` is an unknown name or not a simulator, or if a study cannot store one of the drivers.
     """
     stripped, options = split_common_options(simulator, dict.fromkeys(COMMON_OPTIONS))
     if isinstance(stripped, str):

@@ -165,7 +165,7 @@ class Study(PathLike[str]):
 
         Code that the file names is never run. To run further scenarios, give `simulator` again if a driver or the
         simulator is Python code of your own, or if an option of the simulator is a text, such as a path or an address.
-        If a metric is Python code of your own, use `open_or_create` instead. To read the study, neither is needed.
+        If a metric is Python code of your own, use `open_or_create` instead. Results can be read without such code.
 
         Parameters
         ----------
@@ -287,8 +287,9 @@ class Study(PathLike[str]):
     def simulator(self) -> Simulator | str:
         """Simulator that runs the scenarios, as it was given; for an opened study, made from the settings in the file.
 
-        The simulator can also be used for another study. Raises `InputError` if the file holds only the name of the
-        simulator, of one of its options or of a driver; then give the simulator to `open`.
+        The simulator can also be used for another study. Raises `InputError` if the file does not hold all of the
+        simulator, because a driver or the simulator is Python code of your own, or an option of the simulator is a
+        text. Then give the simulator to `open`.
         """
         if self._simulator is not None:
             return self._simulator
@@ -343,9 +344,9 @@ class Study(PathLike[str]):
         stop : StopRule or str, or sequence of these
             Rules of `cornercase.stop` that end the search before the budget is used up: when the critical set is known
             well enough (``stop.missed(0.05)``), after a time, or when there is no improvement. A sequence combines
-            rules, as in ``[stop.missed(0.1), stop.seconds(60)]``. All its rules about the critical set must hold to end
-            the search; each other rule ends the search by itself. For a rule of your own, call `explore` in a loop with
-            a growing `budget`, and end the loop yourself.
+            rules, as in ``[stop.missed(0.1), stop.seconds(60)]``. Rules about the critical set end the search only when
+            all of them hold; each other rule ends the search by itself. For a rule of your own, call `explore` in a
+            loop with a growing `budget`, and end the loop yourself.
         runs : Runs, optional
             How scenarios are run.
         batch : int, optional
@@ -359,8 +360,8 @@ class Study(PathLike[str]):
             Earlier study with the same parameters, but another driver, simulator or time step; the search begins with
             the scores of the earlier study. The ranges may differ: earlier scenarios outside of the new ranges are left
             out. Metrics that the earlier study lacks, or has measured against other entities, are measured from its
-            recordings. A condition has to be the same. At least 10 different scores are needed. ``LevelSet()``,
-            ``Committee()`` and ``Auto()`` learn from an earlier study.
+            recordings. A condition that says what is critical must be the same in both studies. At least 10 different
+            scores are needed. ``LevelSet()``, ``Committee()`` and ``Auto()`` learn from an earlier study.
         retry_failed : bool, default False
             Run the failed scenarios of the study again before the search goes on.
         progress : bool, optional
@@ -436,9 +437,9 @@ class Study(PathLike[str]):
         Parameters
         ----------
         by : str or sequence of str, optional
-            Aspects: any of `cornercase.clustering.ASPECTS`, and metrics of the study. By default ``"ego-trajectory"``,
-            ``"bearing"`` (the direction in which the ego sees the other), ``"interaction"`` (both motions), and all
-            metrics of the study.
+            Aspects: names in `cornercase.clustering.ASPECTS`, and names of metrics of the study. By default
+            ``"ego-trajectory"``, ``"bearing"`` (the direction in which the ego sees the other), ``"interaction"`` (both
+            motions), and all metrics of the study.
         gamma, eps : float or "auto", default "auto"
             Width of the kernel, and radius of a neighbourhood in kernel space; both without unit.
         min_samples : int or "auto", default "auto"
@@ -532,7 +533,7 @@ class Study(PathLike[str]):
             scenario is at most this fraction of the largest distance.
         archetypes : int or "auto", optional
             Select from each cluster only the prototype (most central scenario) and at most this number of archetypes
-            (extreme scenarios), as in the paper.
+            (extreme scenarios), as in the paper that cornercase follows.
         archetypes_by : {"auto", "hull", "pcha", "parts", "kernel"}, default "auto"
             Method that finds archetypes; see `cornercase.reduction.reduce`.
         by : str, optional
@@ -624,7 +625,7 @@ class Study(PathLike[str]):
         Returns
         -------
         Page
-            The written file; a notebook shows a page.
+            The written page; a notebook shows it.
 
         Raises
         ------
@@ -816,9 +817,9 @@ class Study(PathLike[str]):
             the unit ``cornercase.metrics.METRICS.create(name).unit``), ``objective`` (the sum that was minimized, if
             the problem has `weights`), ``critical`` (True if the scenario is critical; only if the study has a
             threshold or condition), ``collision`` (the entity that the ego collides with first), ``impact speed`` in
-            m/s, and ``error`` if the scenario failed. As soon as they are known, there are ``cluster by …`` (-1 for
-            noise), ``outcome`` and ``note``. `cornercase.study.StudyFile.table` lists all other columns; its table
-            lacks ``critical``, as do the tables that `export` writes.
+            m/s, and ``error`` if the scenario failed. After clustering, ``cluster by …`` (-1 for noise) and ``outcome``
+            follow, and ``note`` if there are notes. `cornercase.study.StudyFile.table` lists all other columns; its
+            table lacks ``critical``, as do the tables that `export` writes.
 
         Examples
         --------
@@ -862,7 +863,8 @@ class Study(PathLike[str]):
     def pareto_front(self) -> pd.DataFrame:
         """Make a table of the scenarios on the Pareto front.
 
-        A scenario is on the front if no other is at least as critical by every metric and more critical by one.
+        A scenario is on the front if no other scenario is at least as critical by every metric, and more critical by at
+        least one metric.
 
         Returns
         -------
@@ -877,7 +879,8 @@ class Study(PathLike[str]):
         with self._read() as file, file.snapshot():
             if not file.meta.pareto:
                 raise InputError(
-                    f"{self.path}: no Pareto front was searched; use `most_critical`, or a Problem(…, pareto=True)."
+                    f"{self.path}: no Pareto front was searched; use `most_critical`, or search a"
+                    " Problem(…, pareto=True)."
                 )
             is_on_front = is_on_pareto_front(file.objective.minimized_scores(file))
             front = {row.id for row, on in zip(file.finished_rows(), is_on_front, strict=True) if on}
@@ -919,9 +922,9 @@ class Study(PathLike[str]):
         -------
         ndarray of float64, shape (T,)
             Values in the metric's unit at the T times of `recording`: NaN while the metric is not defined, ``inf``
-            while the measured event never comes. The metric's cap does not limit the values, only scores and the
-            comparison of courses. With several other entities, the course is measured against the entity for which the
-            scenario is most critical.
+            while the event that the metric predicts, such as a contact, never comes. The values are not clipped to the
+            metric's cap (its least critical value), unlike scores and courses that are compared. With several other
+            entities, the course is measured against the entity for which the scenario is most critical.
 
         Raises
         ------
@@ -985,7 +988,10 @@ class Study(PathLike[str]):
 
         with self._read() as file, file.snapshot():
             if file.meta.pareto:
-                raise InputError(f"{self.path}: a Pareto front was searched; sensitivities need one score.")
+                raise InputError(
+                    f"{self.path}: a Pareto front was searched; sensitivities need a study with one score (without"
+                    " `pareto`)."
+                )
             try:
                 return estimate_study_sensitivity(file)
             except InputError:
@@ -1054,7 +1060,7 @@ class Study(PathLike[str]):
         return StudyFile.open(self._file)
 
     def _make_config(self, meta: StudyMeta | None, **settings: Any) -> ExplorationConfig:
-        """Return the configuration of an exploration; `meta` of an existing file gives the defaults of `settings`."""
+        """Return the configuration of an exploration; settings that are not given come from `meta`, if not None."""
         if self._problem is None:
             return replace(self._config_to_continue(), **settings)
         if meta is not None:

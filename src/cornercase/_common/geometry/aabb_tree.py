@@ -1,4 +1,4 @@
-"""Binary tree of axis-aligned boxes along a path, to find overlaps without testing each pair.
+"""Binary tree of the axis-aligned boxes of a moving object, to find overlaps without testing each pair of boxes.
 
 Boxes of consecutive times are close to each other. So a tree in order of time is about as tight as a tree sorted by
 position (STR packing), and a search returns the boxes in order of time.
@@ -18,8 +18,8 @@ from cornercase._common.numba.kernel import kernel
 def build_aabb_tree(bounds):
     """Build a binary tree, shape (2 k, 4), over m boxes with bounds (min x, min y, max x, max y), shape (m, 4).
 
-    Node 1 bounds all boxes; nodes 2 i and 2 i + 1 bound the two halves of node i. Row k + j holds box j. k is the
-    smallest power of two that is at least m.
+    k is the smallest power of two that is at least m. Row i of the tree holds the bounds of node i. Node 1 bounds all
+    boxes; nodes 2 i and 2 i + 1 bound the two halves of node i; node k + j is the leaf of box j.
     """
     leaves = 1
     while leaves < len(bounds):
@@ -41,8 +41,8 @@ def build_aabb_tree(bounds):
 def next_overlapping_leaf(tree, node, low_x, low_y, high_x, high_y):
     """Return the number of the next leaf node whose box overlaps the bounds, or 0 if there is none.
 
-    The search begins at `node` and goes on in order of time. Pass 1 for the first leaf, and `node_after_subtree(leaf)`
-    for the leaf after `leaf`.
+    The search begins at `node` and goes on in order of time. To find the first overlapping leaf, pass 1 as `node`; to
+    find the next one after `leaf`, pass `node_after_subtree(leaf)`.
     """
     leaves = len(tree) // 2
     while node > 0:
@@ -66,10 +66,10 @@ def node_after_subtree(node):
 
 @kernel(error_model="numpy")
 def append_overlap_run(runs, count, step, other_step):
-    """Begin a run of overlaps in row `count` of `runs`, and return the array; a full array is replaced by a longer one.
+    """Write `step` and `other_step` into row `count` of `runs`, and return `runs`, or a longer copy if it was full.
 
-    A run says that `step` of one path overlaps `other_step` and the following steps of another path. The row is that
-    of `OverlapRuns.runs`; the caller fills the last column.
+    The row begins a run of overlaps: `step` of one path overlaps `other_step` and following steps of another path. The
+    caller writes the last of these steps into the third column.
     """
     if count == len(runs):
         grown = np.empty((2 * count, 3), dtype=np.int64)

@@ -113,8 +113,8 @@ def project_on_axes(axes: FloatArray, points: FloatArray) -> FloatArray:
 def separating_gap(a: FloatArray, axes_of_a: FloatArray, b: FloatArray, axes_of_b: FloatArray) -> FloatArray:
     """Return the widest gap in m between two convex shapes along any of their axes (separating axis theorem).
 
-    If it is positive, the shapes are apart, and the gap is a lower bound of their distance. It is NaN if a corner is
-    NaN.
+    If the gap is positive, the shapes do not touch, and the gap is a lower bound of their distance. The gap is NaN if a
+    corner is NaN.
     """
     return np.maximum(_widest_gap(axes_of_a, a, b), _widest_gap(axes_of_b, a, b))
 
@@ -154,8 +154,8 @@ def time_to_contact(
 
     `a` and `b` are the corners of the boxes. `velocity` and the constant `acceleration` are those of `b` relative to
     `a`. The time is exact: 0 if the boxes touch now, inf if they do not touch within `horizon` s, NaN for NaN inputs.
-    The projections of the boxes on a separating axis overlap in at most two time intervals. The boxes touch when their
-    projections on all axes overlap.
+    Method: the boxes touch when their projections on all axes overlap. On each axis, the projections overlap in at most
+    two time intervals.
     """
     axes = np.concatenate(np.broadcast_arrays(box_axes(a), box_axes(b)), -2)
     low, high = _overlapping_shifts(axes, a, b)
@@ -228,7 +228,10 @@ def _overlap_intervals_quadratic(
 def _quadratic_roots(
     acceleration: FloatArray, speed: FloatArray, offset: FloatArray
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Return the sorted roots t of acceleration t²/2 + speed t + offset (acceleration > 0), and if they are real."""
+    """Return the sorted roots t of acceleration t²/2 + speed t + offset, and whether the roots are real.
+
+    `acceleration` must be positive.
+    """
     discriminant = speed * speed - 2.0 * acceleration * offset
     # This sum has no cancellation, so the smaller root keeps its digits when the acceleration is small.
     q = -(speed + np.copysign(np.sqrt(np.maximum(discriminant, 0.0)), speed))

@@ -23,12 +23,12 @@ class OverlapRuns:
     shape: tuple[int, int]
 
     def steps_of_first_path(self) -> IntArray:
-        """Return the sorted indices of the steps of the first path that overlap any step of the second path."""
+        """Return sorted indices of the steps of the first path that overlap at least one step of the second path."""
         steps: IntArray = np.unique(self.runs[:, 0])
         return steps
 
     def steps_of_second_path(self) -> IntArray:
-        """Return the sorted indices of the steps of the second path that overlap any step of the first path."""
+        """Return sorted indices of the steps of the second path that overlap at least one step of the first path."""
         ends = np.zeros(self.shape[1] + 1, dtype=np.int64)
         np.add.at(ends, self.runs[:, 1], 1)
         np.add.at(ends, self.runs[:, 2] + 1, -1)

@@ -43,7 +43,7 @@ class AtomicWriteGroup:
         self._swept_folders: set[Path] = set()
 
     def add_file(self, path: Path) -> Path:
-        """Make an empty temporary file next to `path`, with missing folders, and return its path."""
+        """Make an empty temporary file next to `path`, and folders that are missing; return the path of this file."""
         # A file must not replace a folder, a pipe or a device.
         with _convert_write_errors(path):
             is_other = path.exists() and not path.is_file()
@@ -139,7 +139,7 @@ _current_group: ContextVar[AtomicWriteGroup | None] = ContextVar("together", def
 
 @contextmanager
 def current_or_new_group() -> Iterator[AtomicWriteGroup]:
-    """Yield the group of the enclosing `atomic_write_group`, or else a new group whose files are renamed at the end."""
+    """Yield the group of the enclosing `atomic_write_group`, or a new group that is committed after the block."""
     group = _current_group.get()
     if group is not None:
         yield group
@@ -154,7 +154,7 @@ def current_or_new_group() -> Iterator[AtomicWriteGroup]:
 
 @contextmanager
 def atomic_write_group() -> Iterator[None]:
-    """Rename all files that are written within the block at its end, or none of them if the block fails.
+    """At the end of the block, rename all files that were written within the block; rename none if the block fails.
 
     Syncing many files to disk together takes little more time than syncing one.
     """

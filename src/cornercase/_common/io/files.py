@@ -105,7 +105,7 @@ _SIDE_FILE_SUFFIXES: Final = (*SQLITE_SUFFIXES, ".lock")
 
 
 def check_output_differs_from_source(output: Path | str, source: Path | str, name: str = "output") -> None:
-    """Raise `InputError` if `output` is the source file, even by another name, or one of SQLite's files beside it."""
+    """Raise `InputError` if `output` is the same file as `source`, or a file that SQLite keeps beside `source`."""
     output, source = Path(output), Path(source)
     if output.exists() and source.exists() and output.samefile(source):
         raise InputError(f"`{name}` {output}: is the input file; choose another name.")
@@ -114,7 +114,7 @@ def check_output_differs_from_source(output: Path | str, source: Path | str, nam
 
 
 def check_output_is_not_study(output: Path, study: Path, name: str) -> None:
-    """Raise `InputError` if `output` is the study that is being written, or one of SQLite's files beside it."""
+    """Raise `InputError` if `output` is the study being written, or a file that SQLite keeps beside the study."""
     if os.path.realpath(output) == os.path.realpath(study) or _is_sqlite_side_file(output, study):
         raise InputError(
             f"`{name}` {output}: is the study, or a file that SQLite keeps beside it; choose another name."

@@ -35,8 +35,8 @@ def try_lock(path: Path) -> BaseFileLock | None:
 def lock(path: Path, timeout: float = _TIMEOUT) -> Iterator[None]:
     """Hold a lock on the file `path` during the block; a thread that holds the lock may enter again.
 
-    If the lock file cannot be written, or the lock is not free within `timeout` s, the block runs without a lock: a
-    process that holds it for so long has probably been suspended. Later calls then do not wait for this lock.
+    If the lock file cannot be written, or the lock is not free within `timeout` s, the block runs without a lock. A
+    process that holds a lock for so long has probably been suspended, so later calls do not wait for this lock.
     """
     with ExitStack() as stack:
         # filelock's Timeout is an OSError, too.

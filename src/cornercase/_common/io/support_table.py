@@ -62,12 +62,12 @@ class SupportEntry:
     affects_result: bool = True  # whether the result could depend on the part, or on whether it is read
 
     def needs_no_notice(self, value: str) -> bool:
-        """Return whether an attribute with this value needs no notice, because the value changes nothing."""
+        """Return whether users get no notice about an attribute with this value, because the value changes nothing."""
         return any(ignored in ("*", value) or _is_same_number(value, ignored) for ignored in self.ignored_values)
 
 
 class NoticeLabel(StrEnum):
-    """Kind of a notice: parts of a file are without effect, or are adapted (read differently from as written)."""
+    """Kind of a notice: parts of a file have no effect, or are adapted (read differently from how they are written)."""
 
     WITHOUT_EFFECT = "without effect"
     ADAPTED = "adapted"
@@ -82,13 +82,13 @@ class Notice:
     parts : tuple of str
         Elements, and attributes with their elements: ``("<Axles>", "mass of <Vehicle>")``.
     reason : str
-        Clause that says what happens instead, without a capital at the beginning and a full stop at the end.
+        Clause that says what happens instead; begins with a small letter, and ends without a full stop.
     file : Path
     lines : tuple of int
         Line numbers in the file, sorted.
     label : NoticeLabel
     rule : str
-        What the standard says about parts that are adapted; empty for others.
+        What the standard says about the parts, if they are adapted; otherwise empty.
     affects_result : bool
         True if a simulator that used the parts could give other positions, speeds or verdicts.
     """
@@ -151,7 +151,7 @@ def sort_notices(notices: Iterable[Notice]) -> tuple[Notice, ...]:
 def list_adaptation_notices(element: etree._Element, file: Path | str) -> tuple[Notice, ...]:
     """Return notices about parts of an XML element that violate the standard but could be read.
 
-    Parts of its descendants and ancestors are included.
+    The notices also cover the element's descendants and ancestors.
     """
     return merge_notices(
         Notice((what,), why, Path(file), (line_number(part),), NoticeLabel.ADAPTED, rule)
@@ -202,7 +202,7 @@ def issue_notice_warning(sentence: str) -> None:
 
 
 def _is_inside_cornercase(module: str) -> bool:
-    """Return whether a module belongs to cornercase, or is contextlib, through which decorators of cornercase run."""
+    """Return whether a module belongs to cornercase, or is contextlib, whose code runs in decorators of cornercase."""
     return module.startswith("cornercase.") or module == "contextlib"
 
 
@@ -239,9 +239,9 @@ class SupportTable:
     def from_csv(cls, package: str, file: str) -> SupportTable:
         """Read the table from a CSV file in a package.
 
-        The columns are those of `SupportEntry`: element, attribute, status, unless (ignored values), values (allowed
-        values), note, and matters (yes or no; does the part affect the result). Bars separate several values in a cell:
-        ``0|false``. An empty cell in the column matters means yes.
+        Its columns hold the fields of `SupportEntry`: ``element``, ``attribute``, ``status``, ``unless`` (ignored
+        values), ``values`` (allowed values), ``note``, and ``matters``, which is ``no`` for parts that do not affect
+        the result and otherwise ``yes`` or empty. Bars separate several values in a cell: ``0|false``.
         """
         text = (resources.files(package) / file).read_text(encoding="utf-8")
         return cls(
@@ -258,7 +258,7 @@ class SupportTable:
         )
 
     def find_entry(self, path: tuple[str, ...], attribute: str = "") -> SupportEntry | None:
-        """Return the entry of an element or attribute; if several fit, the entry that names the most parents."""
+        """Return the entry of an element or attribute; if several entries fit, the one with the most parents."""
         for parents, entry in self._by_name.get((path[-1], attribute), ()):
             if path[len(path) - 1 - len(parents) : -1] == parents:
                 return entry
@@ -304,10 +304,10 @@ class SupportTable:
     def list_unsupported_notices(
         self, element: etree._Element, file: Path | str, is_complete: bool = True
     ) -> tuple[Notice, ...]:
-        """Return notices about parts of an element that are without effect, unknown or were not read.
+        """Return notices about parts of an element and its descendants: parts without effect, unknown or not read.
 
-        Parts of its descendants are included. Call this method after the file was read. If the file was not read to its
-        end, pass `is_complete` False: then parts that were not read are not reported.
+        Call this method after the file was read. If reading stopped before the end of the file, pass `is_complete`
+        False; then only parts without effect and unknown parts are reported.
         """
         unsupported = self._iter_unsupported(element, _path_from_root(element), is_complete)
         return merge_notices(

@@ -19,10 +19,10 @@ class TrackedElement(etree.ElementBase):
     """An XML element that records whether it was found, and which of its attributes were requested.
 
     `find`, `findall`, `iterfind`, `iterchildren`, `iter` with a tag, and iteration over the children mark elements as
-    found. `iter` without a tag, `attrib`, `items` and `getparent` do not, so a file can be searched without marking it
-    as read. lxml drops element objects that nobody references, and their marks with them: hold all elements of a file
-    as long as the marks are needed, as `XmlFileCache` does. `cache` holds values derived from the element;
-    `list_adaptations` returns its violations of the standard.
+    found. `iter` without a tag, `attrib`, `items` and `getparent` mark nothing. lxml deletes element objects without
+    references, together with their marks. So keep references to all elements of a file as long as the marks are needed,
+    as `XmlFileCache` does. `cache` holds values derived from the element; `adaptations` holds the element's violations
+    of the standard, see `list_adaptations`.
     """
 
     # Class attributes as defaults, so that creating an element costs nothing.

@@ -18,7 +18,7 @@ _PACKAGES_WITH_BLAS: Final = ("numpy", "scipy.linalg", "scipy.optimize", "scipy.
 def single_threaded_blas() -> Iterator[None]:
     """Limit NumPy's and SciPy's linear algebra to one thread, so that results do not depend on the number of threads.
 
-    The limit holds within the block. Import packages with a linear algebra library of their own before the block.
+    The limit holds within the block, and only for packages that were imported before the block.
     """
     with _threadpool_controller(*(name in sys.modules for name in _PACKAGES_WITH_BLAS)).limit(limits=1):
         yield

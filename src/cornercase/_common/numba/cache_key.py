@@ -57,7 +57,7 @@ class _DependencyWalker:
             if not _is_external(value.__name__):
                 yield from self._walk_names(vars(value), names)
         elif not hasattr(value, "__module__"):
-            raise TypeError(f"a kernel uses {value!r}, which cannot be hashed.")
+            raise TypeError(f"a numba function uses the value {value!r}, whose type cannot be hashed.")
         elif _is_external(value.__module__):
             yield f"{value.__module__} {getattr(value, '__qualname__', value)}".encode()
         elif value not in self.seen:

@@ -48,9 +48,9 @@ class KernelDispatcher(CPUDispatcher):
         return bool(self.overloads or self._parts)
 
     def has_machine_code(self, *args):
-        """Return whether machine code exists in this process, or on disk for arguments of these types.
+        """Return whether this process has machine code of the kernel, or the disk has code for the types of `args`.
 
-        The disk is searched only once for these types, because a search takes longer than a short interpreted call.
+        The disk is searched only once for the same types, because a search takes longer than a short interpreted call.
         """
         if self.overloads:
             return True
@@ -83,9 +83,11 @@ class KernelDispatcher(CPUDispatcher):
         return compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name)
 
     def check_address_types(self, kinds):
-        """Raise `TypeError` if calls at the kernel's address or its compilation differ in the types of arguments."""
+        """Raise `TypeError` if the argument types differ from an earlier call; code at an address has fixed types."""
         if self._late_kinds not in (None, kinds):
-            raise TypeError(f"{self} is called with {kinds}, but also with {self._late_kinds}.")
+            raise TypeError(
+                f"{self} is called with arguments of the types {kinds}, but earlier with the types {self._late_kinds}."
+            )
         self._late_kinds = kinds
 
     def _compile_for_args(self, *args, **kws):
@@ -161,9 +163,9 @@ class _KernelLibrary(JITCodeLibrary):
     """Code of a kernel together with the kernels that it calls, as one library."""
 
     def serialize_using_object_code(self):
-        """Return name, kind and machine code in numba's format, without the intermediate code.
+        """Return name, kind and content in numba's format: machine code, and intermediate code with empty functions.
 
-        The functions in the intermediate code are empty, since other kernels do not link this library.
+        The intermediate code is not needed, since no other kernel links this library.
         """
         names = _defined_names(self._final_module)
         definitions = "".join(f'define void @"{name}"() {{ ret void }}\n' for name in names)

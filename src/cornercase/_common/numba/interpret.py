@@ -38,7 +38,7 @@ class _InterpreterState:
 
 
 def can_interpret(seconds: float, *, is_loop: bool = False) -> bool:
-    """Return whether this process may interpret kernels for another `seconds` s.
+    """Return whether this process may still interpret kernels, if the next call takes `seconds` s.
 
     `is_loop` is True for a kernel that does most of the work, such as the simulator's time loop.
     """
@@ -111,7 +111,7 @@ def _interpreted_function(function: FunctionType) -> FunctionType:
 
 @cache
 def _compile_file_functions(path: str) -> dict[tuple[str, int], CodeType]:
-    """Return the code of all functions of a file by name and first line, with replaced operators."""
+    """Compile all functions of a file with replaced operators; return their code, keyed by name and first line."""
     tree = ast.fix_missing_locations(_OperatorReplacer().visit(ast.parse(Path(path).read_text("utf-8"))))
     return {(code.co_name, code.co_firstlineno): code for code in _nested_codes(compile(tree, path, "exec"))}
 
@@ -137,7 +137,7 @@ class _OperatorReplacer(ast.NodeTransformer):
         return ast.copy_location(ast.Call(ast.Name(name, ast.Load()), [node.left, node.right], []), node)
 
     def visit_AugAssign(self, node: ast.AugAssign) -> ast.AST:
-        """Replace an operator such as ``/=`` if its target is a variable; NumPy divides elements of arrays."""
+        """Replace an operator such as ``/=`` if its target is a variable; array elements need no replacement."""
         self.generic_visit(node)
         if not isinstance(node.target, ast.Name):
             return node

@@ -32,12 +32,12 @@ _KERNELS: WeakSet[Any] = WeakSet()
 class _SharedCache(FunctionCache):
     """numba's disk cache, used by one process at a time.
 
-    numba reads the index of a function, adds an entry and writes the index back. If two processes do so at once, one
-    can end up with the other's machine code under its own key. A truncated file (after a full disk or a crash) counts
-    as missing.
+    numba reads the index of a function, adds an entry and writes the index back. If two processes do so at once,
+    a key can point to the machine code that the other process wrote for another key. A truncated file (after a full
+    disk or a crash) counts as missing.
 
-    numba alone keeps machine code as long as the file of the function is unchanged. Here the key also covers the
-    functions and constants in other modules that the code contains.
+    numba alone compiles again only if the file of the function changes. Here the key also covers functions and
+    constants of other modules that the function uses.
     """
 
     def __init__(self, function, options):
@@ -137,7 +137,7 @@ def kernel(
 class _CompilationListener(event.Listener):
     """Listener that logs when numba begins to compile kernels, and from time to time that compiling goes on.
 
-    Nothing is logged if other listeners are registered, or in worker processes, because their parent logs.
+    Nothing is logged if other listeners are registered. Worker processes log nothing, because their parent logs.
     """
 
     def __init__(self, seconds_between_messages: float = 10.0) -> None:

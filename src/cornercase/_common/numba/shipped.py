@@ -1,7 +1,8 @@
 """Machine code that the installed wheel contains, compiled when the wheel was built.
 
-The machine code is used if source code and versions of Python, numba and LLVM are the same, and if the processor has
-the features of a level, such as x86-64-v3. Levels do not affect results, since no operation is reordered or fused.
+The machine code is used if the source code and the versions of Python, numba and LLVM are the same as at the build, and
+if the processor has the features of a processor level, such as x86-64-v3. Results are the same on all levels, since no
+operation is reordered or fused.
 """
 
 # numba's internals have no type hints.
@@ -85,7 +86,7 @@ class ShippedCode:
         return path is not None and path.is_file()
 
     def save(self, source_digest: str, signature: Any, result: Any) -> None:
-        """While a wheel is being built, write a compile result to the folder in the variable `SHIP_VARIABLE`."""
+        """Write a compile result to the folder in the environment variable `SHIP_VARIABLE`, which wheel builds set."""
         folder = os.environ.get(SHIP_VARIABLE)
         if folder:
             Path(folder, self._file_name(source_digest, signature)).write_bytes(dumps(result._reduce()))
@@ -104,9 +105,10 @@ class ShippedCode:
 
 
 def nested_field_names(numba_type: Any) -> tuple[Any, ...]:
-    """Return the field names of a numba tuple type and of nested tuples; machine code accesses fields by position.
+    """Return the field names of a numba tuple type and of its nested tuples; of a `Reference`, those of its tuple.
 
-    For a `Reference`, the field names of the referenced tuple are returned; for other types, an empty tuple.
+    Other types give an empty tuple. The names belong to the cache key: machine code accesses fields by position, so it
+    would be wrong for tuples with reordered fields.
     """
     if isinstance(numba_type, Reference):
         return nested_field_names(numba_type.table)

@@ -1,1 +1,1 @@
-"""Signals, child processes and clusters."""
+"""Signals, child processes, and Dask clusters for parallel work."""

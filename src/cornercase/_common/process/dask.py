@@ -96,7 +96,7 @@ def connect(cluster: str | Client, workers: int = 1, answer_timeout: float = _AN
     # An answer of another program may be read as the length of a message.
     except (OSError, ValueError, TypeError, KeyError, RecursionError, MemoryError) as error:
         raise InputError(
-            f"`cluster` {cluster}: no scheduler answers there ({type(error).__name__}); give 'local', an address such"
+            f"`cluster` {cluster}: no scheduler answers ({type(error).__name__}); give 'local', an address such"
             " as tcp://host:8786, or the file that a scheduler wrote."
         ) from error
 
@@ -114,7 +114,7 @@ def _check_certificates(cluster: str, address: str) -> None:
 def _check_scheduler_answers(address: str, timeout: float) -> None:
     """Raise `InputError` unless a Dask scheduler answers at the address within `timeout` s.
 
-    If another program listens there, a client would wait forever.
+    If another program listens at the address, a client would wait forever.
     """
     from distributed.comm.core import connect as greet
     from distributed.security import Security
@@ -185,7 +185,7 @@ def _start_cluster_with_retries(workers: int, reaper: Reaper) -> SpecCluster:
         except RuntimeError as error:
             if attempt + 1 == _MAX_START_ATTEMPTS:
                 raise InputError(
-                    f"`cluster` {LOCAL_CLUSTER}: its workers die while they start ({error}); fix the cause, and run"
+                    f"`cluster` {LOCAL_CLUSTER}: the workers die while they start ({error}); fix the cause, and run"
                     " the same command again."
                 ) from error
     raise AssertionError

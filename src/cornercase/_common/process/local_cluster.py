@@ -33,10 +33,10 @@ class LocalWorker(_NoWebPages, Worker):
 
 
 def start_local_cluster(n_workers: int, reaper: Reaper) -> SpecCluster:
-    """Start a local cluster: the scheduler in this process, and each worker in a child process that ends with it.
+    """Start a local cluster: the scheduler in this process, and each worker in a child process.
 
     Scheduler, workers and client accept only connections with a temporary certificate of this cluster. `reaper` ends
-    the workers. RuntimeError if a worker dies while it starts.
+    the workers when this process ends. RuntimeError if a worker dies while it starts.
     """
 
     class ReapedNanny(Nanny):

@@ -23,9 +23,9 @@ _GRACE_PERIOD: Final = 2.0
 def exit_with_parent() -> None:
     """Watch the parent of this `multiprocessing` process, and exit soon after the parent has died.
 
-    Call it in the main thread. `SystemExit` is raised there as soon as Python code runs. If the process has not ended
-    two seconds later, it is killed with its children. Compiled code that blocks all other threads also blocks this
-    exit; then the parent's `Reaper` ends the process.
+    Call this function in the main thread. When the parent has died, `SystemExit` is raised in the main thread as soon
+    as Python code runs. If the process is still running two seconds later, it is killed with its children. Compiled
+    code that blocks all other threads also blocks this exit; then the parent's `Reaper` ends the process.
     """
     parent = parent_process()
     assert parent is not None

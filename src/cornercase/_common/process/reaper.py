@@ -41,9 +41,10 @@ _REAPER_CODE: Final = (
 
 
 class Reaper:
-    """Handle of a child process that ends processes and removes folders once this process has ended or was killed.
+    """Handle of the reaper, a child process that cleans up after this process has ended or was killed.
 
-    The child process is started when there is something to clean up.
+    The reaper ends the processes and removes the folders that were registered with it. It is started with the first
+    registration.
 
     >>> with Reaper() as reaper:
     ...     folder = reaper.make_temporary_folder()

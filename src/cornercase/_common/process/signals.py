@@ -51,9 +51,9 @@ def count_termination_requests() -> int:
 def is_termination_request(error: BaseException, n_requests_before: int) -> bool:
     """Return whether an exception of a plug-in was caused by a termination request, and not by the plug-in itself.
 
-    `n_requests_before` is the value of `count_termination_requests` before the plug-in ran. This also works if the
-    plug-in replaced the `KeyboardInterrupt` by another error. Outside `collect_interrupts` requests are not counted;
-    then every `KeyboardInterrupt` counts as a request.
+    `n_requests_before` is the result of `count_termination_requests` before the plug-in ran. The result is right even
+    if the plug-in replaced the `KeyboardInterrupt` by another error. Requests are only counted within the block of
+    `collect_interrupts`; outside of the block, every `KeyboardInterrupt` is taken for a request.
     """
     if threading.current_thread() is not threading.main_thread():
         return False
@@ -106,10 +106,10 @@ def pop_lost_interrupt() -> bool:
 
 @contextmanager
 def collect_interrupts() -> Iterator[Callable[[], None]]:
-    """Within the block, remember interrupts whose exception is lost because compiled code calls back into Python.
+    """Within the block, remember interrupts, because compiled code that calls Python callbacks may drop the exception.
 
     Yields a function to call from time to time. This function raises `KeyboardInterrupt` if an interrupt came since the
-    last call. Nothing is remembered outside the main thread, or if the program handles the signal itself.
+    last call. Nothing is remembered outside the main thread, or for signals with a handler of the user's program.
     """
     global _is_counting
     usual_handlers = {signal.SIGINT: signal.default_int_handler, **dict.fromkeys(termination_signals(), _handle_signal)}

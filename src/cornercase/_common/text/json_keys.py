@@ -24,7 +24,8 @@ def key_to_identifier(key: str) -> str:
 def keys_to_identifiers(plain: Any, name_levels: Mapping[str, int]) -> Any:
     """Replace the keys of nested dictionaries by identifiers, except keys that are names, such as names of metrics.
 
-    `name_levels` maps a key to a number of levels. In this many levels below the key, keys are names and stay.
+    `name_levels` says below which keys the names are. With ``{"scores": 2}``, the keys of the two levels of
+    dictionaries below the key ``"scores"`` are names, and stay unchanged.
     """
     if isinstance(plain, Mapping):
         return {

@@ -178,4 +178,4 @@ def check_comma_separated(path: Path, header: Sequence[str]) -> None:
     if len(header) == 1:
         for separator, name in ((";", "semicolons"), ("\t", "tabs")):
             if separator in header[0]:
-                raise InputError(f"{path}: separates its columns by {name}; use commas, and decimal points.")
+                raise InputError(f"{path}: separates its columns by {name}; use commas, and points in numbers.")
