@@ -32,7 +32,7 @@ from cornercase.metrics import (
     Pet,
     Pttc,
     Rss,
-    SquaredGapTime,
+    Spret,
     Stn,
     StoppingDistance,
     Tet,
@@ -116,7 +116,7 @@ def test_oracle_encroachment_time(case):
 
 @pytest.mark.parametrize("case", [*cases("gap_time"), *cases("SPrET")])
 def test_oracle_gap_time(case):
-    metric = GapTime() if case["metric"] == "gap_time" else SquaredGapTime()
+    metric = GapTime() if case["metric"] == "gap_time" else Spret()
     follows(lambda t: metric.course(recorded(case["actors"], t), "0", "1"), case)
 
 
@@ -390,7 +390,7 @@ def test_pet_of_two_areas_of_one_symmetric_crossing_is_the_gap_time_less_both_en
 def test_gap_time_closed_forms():
     cross = actor(y=-40, yaw=math.pi / 2, v=8)
     close(now(GapTime(), actor(x=-30, v=10), cross), 2.0)
-    close(now(SquaredGapTime(), actor(x=-30, v=10), cross), 16.0)
+    close(now(Spret(), actor(x=-30, v=10), cross), 16.0)
     close(now(GapTime(), actor(x=-30), actor(y=-40, yaw=math.pi / 2)), math.inf)
     close(now(GapTime(), actor(x=-50, v=10), cross), 0.0)
     close(now(GapTime(), actor(x=3, v=10), cross), math.nan)

@@ -16,7 +16,7 @@ from cornercase.simulators import Builtin
 from cornercase.testing import run_checks, simulator_checks
 from cornercase.testing._agent_runs import describe_agent_problems, measure_agent_motion
 from cornercase.testing._corrections import box_centers as centers
-from cornercase.testing._crash import CrashResult, crash_during_runs
+from cornercase.testing._crash import SimulatorCrashResult, crash_during_runs
 from cornercase.testing._deviations import SmallRun, run_small_scenario
 from cornercase.testing._example_driver import CarFollowing
 from cornercase.testing._small_scenarios import AGENT_DURATIONS, SMALL_SCENARIOS, write_small_scenarios
@@ -318,7 +318,7 @@ def test_the_proof_holds_what_was_seen(tmp_path):
 @pytest.mark.slow
 def test_a_crash_on_purpose_hits_a_run_and_costs_nothing_else(small):
     pytest.importorskip("libsumo", reason="SUMO comes with the extra 'sumo'")
-    run: CrashResult = crash_during_runs("sumo", small["braking to a stop"], "Ego")
+    run: SimulatorCrashResult = crash_during_runs("sumo", small["braking to a stop"], "Ego")
     assert not run.is_server
     assert "spawn_main" in run.killed
     assert 1 <= run.n_before < len(run.outcomes)

@@ -113,14 +113,14 @@ class _CurrentFolderFinder:
     def find_spec(
         self, name: str, path: Sequence[str] | None, target: ModuleType | None = None, /
     ) -> ModuleSpec | None:
-        if path is not None or not self._is_requested():
+        if path is not None or not self._is_importer_trusted():
             return None
         spec = PathFinder.find_spec(name, [self._folder], target)
         if spec is not None:
             self.imported_names.add(name)
         return spec
 
-    def _is_requested(self) -> bool:
+    def _is_importer_trusted(self) -> bool:
         """Return whether the import was requested by the user, or by a module from the current folder.
 
         If another package tries an optional import meanwhile, this import must not find a module of the current folder.

@@ -87,7 +87,7 @@ def check_simulator(
     from cornercase.simulators._registry import simulator_availability
     from cornercase.testing import simulator_checks
     from cornercase.testing._check_archive import write_check_archive
-    from cornercase.testing._crash import CrashResult
+    from cornercase.testing._crash import SimulatorCrashResult
     from cornercase.testing._deviations import SmallRun
 
     problem = simulator_availability(simulator).problem
@@ -100,7 +100,7 @@ def check_simulator(
         if output.is_dir():
             raise InputError(f"--output {output}: is a folder; give a file, such as {output / 'proof.zip'}.")
         check_writable_file("output", output)
-    runs, crashes = list[SmallRun](), list[CrashResult]()
+    runs, crashes = list[SmallRun](), list[SimulatorCrashResult]()
     checks = simulator_checks(simulator, _read_check_scenarios(scenario, space, ego), runs.append, crashes.append)
     results = _run_and_print_checks("simulator", simulator, checks, as_json)
     if output is not None:

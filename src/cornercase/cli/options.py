@@ -102,7 +102,7 @@ LocalWorkers = Annotated[int, Option("--workers", metavar="N", help="Number of p
 Memory = Annotated[str, Option(metavar="SIZE", help="Memory that the command may use, such as 4GB or 500MB.")]
 
 
-class _JsonOutput:
+class _StdoutRedirection:
     """Stdout that is reserved for JSON; all other output, such as prints of user code, goes to stderr."""
 
     def __init__(self) -> None:
@@ -143,12 +143,12 @@ class _JsonOutput:
             self.redirect()
 
 
-_json_output: ContextVar[_JsonOutput | None] = ContextVar("json output", default=None)
+_json_output: ContextVar[_StdoutRedirection | None] = ContextVar("json output", default=None)
 
 
 @contextmanager
 def _keep_stdout_for_json() -> Iterator[None]:
-    output = _JsonOutput()
+    output = _StdoutRedirection()
     token = _json_output.set(output)
     output.redirect()
     try:

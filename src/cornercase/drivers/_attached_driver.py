@@ -26,6 +26,7 @@ from cornercase.drivers._compiled import is_compiled, limit_driver_acceleration
 from cornercase.drivers._controls import Controls
 from cornercase.drivers._driving_function import DrivingFunction, Start
 from cornercase.drivers._equipment import EquippedDriver
+from cornercase.drivers._motion_control import DrivenMotion, VehicleMover
 from cornercase.drivers._parameters import (
     DRIVER,
     VEHICLE,
@@ -35,7 +36,6 @@ from cornercase.drivers._parameters import (
     split_parameters,
 )
 from cornercase.drivers._varied_driver import VariedDriver
-from cornercase.drivers._vehicle_motion import DrivenMotion, VehicleMover
 from cornercase.drivers.sensors._fusion import SensorFusion
 from cornercase.drivers.vehicles._actuated import ActuatedVehicle
 from cornercase.drivers.vehicles._pedals import pedals_to_acceleration

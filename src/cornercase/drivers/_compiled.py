@@ -211,11 +211,11 @@ def set_route(fleet: Fleet, driver: int, track: int, path: DrivenPath) -> Fleet:
         first = len(routes.begin)
         routes = _append_empty_route(routes, driver, track, rows, samples)
     points = routes.begin[first : first + rows][:, None] + np.arange(samples)
-    routes.points[points], routes.measures[first : first + rows] = _plan_route_points(path, limits, rows)
+    routes.points[points], routes.measures[first : first + rows] = _plan_cached_routes(path, limits, rows)
     return fleet._replace(routes=routes)
 
 
-def _plan_route_points(path: DrivenPath, limits: FloatArray, rows: int) -> tuple[FloatArray, FloatArray]:
+def _plan_cached_routes(path: DrivenPath, limits: FloatArray, rows: int) -> tuple[FloatArray, FloatArray]:
     """Return `Routes.points` and `Routes.measures` of `rows` scenarios; a single route along a lane is cached.
 
     `limits` (N, 2): lateral acceleration and deceleration of the driver in m/s².

@@ -111,7 +111,7 @@ def runs_program_or_file(name: str) -> bool:
     return is_registered_driver(name) and DRIVERS.takes_whole_text(split_spec(name)[0].partition(":")[0])
 
 
-def check_reference_driver(name: str) -> None:
+def refuse_program_driver(name: str) -> None:
     """Raise `InputError` for a driver that runs a program or file, which a condition of a study may not name."""
     if runs_program_or_file(name):
         raise InputError(f"the driver '{name}' runs a program or file, which no condition may name; give a class.")

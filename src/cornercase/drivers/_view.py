@@ -251,7 +251,7 @@ class SharedView:
         return dx * cos + dy * sin, dy * cos - dx * sin, np.asarray(wrap_angle(direction - heading)), curvature
 
     @cached_property
-    def own_poses(self) -> list[list[float]]:
+    def own_path_coordinates(self) -> list[list[float]]:
         """Values of `own_pose_on_path` as one list per scenario."""
         poses: list[list[float]] = self.own_pose_on_path.T.tolist()
         return poses
@@ -374,7 +374,7 @@ class View:
     def ego(self) -> EgoState:
         """The ego itself."""
         x, y, heading, speed, acceleration = self._shared.ego_states[self._n]
-        along, offset, direction = self._shared.own_poses[self._n]
+        along, offset, direction = self._shared.own_path_coordinates[self._n]
         turn = (heading - direction + math.pi) % (2.0 * math.pi) - math.pi
         return EgoState(x, y, heading, speed, acceleration, along, offset, turn)
 
@@ -438,7 +438,7 @@ class View:
         PathPoint
         """
         s, n = self._shared.situation, self._n
-        at = self._shared.own_poses[n][0] + float(_limit_ahead(s.path, ahead))
+        at = self._shared.own_path_coordinates[n][0] + float(_limit_ahead(s.path, ahead))
         columns = (s.path.distance, s.path.x, s.path.y, s.path.heading, s.path.curvature)
         stations, *samples = columns if s.path.distance.ndim == 1 else [column[n] for column in columns]
         px, py, direction, curvature = (float(np.interp(at, stations, values)) for values in samples)

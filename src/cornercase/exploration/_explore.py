@@ -17,7 +17,7 @@ from cornercase._common.process.dask import open_connection
 from cornercase._common.unknown_names import refuse_unknown_arguments
 from cornercase._common.validation import check_bool, check_path
 from cornercase.drivers import Driver
-from cornercase.drivers._resolve import DriverLike, check_reference_driver, resolve_driver
+from cornercase.drivers._resolve import DriverLike, refuse_program_driver, resolve_driver
 from cornercase.exploration._asynchronous import AsynchronousExplorer
 from cornercase.exploration._config import ExplorationConfig
 from cornercase.exploration._constant_metrics import warn_about_threshold
@@ -32,7 +32,7 @@ from cornercase.scenario import LogicalScenario
 from cornercase.simulators import Simulator
 from cornercase.simulators._create import create_simulator
 from cornercase.simulators._driver_parameters import check_driver_parameters, list_probe_values
-from cornercase.simulators._random_sensors import find_random_sensors, warn_if_runs_are_random
+from cornercase.simulators._random_sensors import find_entities_with_random_sensors, warn_if_runs_are_random
 from cornercase.simulators._results import check_simulator_accepts, list_ignored_content
 from cornercase.simulators._run_notices import find_driver_in_files, warn_if_ego_has_no_driver
 from cornercase.study import StudyFile
@@ -196,7 +196,7 @@ def _run_exploration(
         warn_if_ego_has_no_driver(simulator, [config.logical.scenario_file], config.ego)
         if config.repeats == 1:
             names = config.logical.space.names
-            random = find_random_sensors(simulator, [config.logical.scenario_file], names)
+            random = find_entities_with_random_sensors(simulator, [config.logical.scenario_file], names)
             warn_if_runs_are_random(random, "`repeats` runs each scenario several times, each with other numbers")
         meta = config.make_study_meta(
             objective, simulator.settings, None if warm_start is None else warm_start.study_info, study=study_path
@@ -260,7 +260,7 @@ def reference_simulators(config: ExplorationConfig) -> Iterator[dict[str, Simula
         simulators = {}
         for name in () if condition is None else condition.reference_drivers:
             try:
-                check_reference_driver(name)
+                refuse_program_driver(name)
                 simulators[name] = stack.enter_context(_create_simulator(config, {**config.drivers, config.ego: name}))
             except InputError as error:
                 raise InputError(f"`critical_if`, reference:{name}: {error}") from error

@@ -20,7 +20,7 @@ from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario
 from cornercase.scenario._seeds import seed_of_run
 from cornercase.simulators import Simulator
-from cornercase.simulators._random_sensors import find_random_sensors
+from cornercase.simulators._random_sensors import find_entities_with_random_sensors
 from cornercase.simulators._results import run_scenarios
 from cornercase.simulators._run_notices import RunNotices
 from cornercase.study import ScenarioRecord, StudyFile
@@ -128,7 +128,7 @@ class ScenarioRunner:
     def _has_random_sensors(self) -> bool:
         logical = self._config.logical
         files = [] if logical.file is None else [logical.file]
-        return bool(find_random_sensors(self._simulator, files, logical.space.names))
+        return bool(find_entities_with_random_sensors(self._simulator, files, logical.space.names))
 
     def _run_again(self, row: ScenarioRecord) -> Iterator[Recording | SimulationError]:
         """Repeat the runs of a scenario one after another."""

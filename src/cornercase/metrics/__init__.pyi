@@ -18,7 +18,7 @@ from ._features import FeatureGroup as FeatureGroup
 from ._features import compute_features as compute_features
 from ._features import registered_features as registered_features
 from ._gap_time import GapTime as GapTime
-from ._gap_time import SquaredGapTime as SquaredGapTime
+from ._gap_time import Spret as Spret
 from ._geometry.encounter import Encounter as Encounter
 from ._headway import Headway as Headway
 from ._headway import Pttc as Pttc

@@ -53,7 +53,7 @@ class GapTime(Metric):
         return _time_difference(ego_times, other_times)
 
 
-class SquaredGapTime(GapTime):
+class Spret(GapTime):
     """Difference of the squared times at which both entities reach the crossing of their tracks.
 
     ``|t² - t_other²|`` in s², with the times t and t_other until the ego and the other entity reach the crossing. The
@@ -73,7 +73,7 @@ class SquaredGapTime(GapTime):
     >>> recording = cc.simulate(
     ...     "examples/x_intersection/x_intersection.xosc", {"ego_start": 44.0}, drivers={"Ego": "aggressive"}
     ... )
-    >>> cc.measure(recording, "Ego", "Pedestrian", [cc.metrics.SquaredGapTime()])
+    >>> cc.measure(recording, "Ego", "Pedestrian", [cc.metrics.Spret()])
     metric  score  unit  critical is
     spret   7.602  s²    low
     """

@@ -37,7 +37,7 @@ for _name, _target in (
     ("pet", "_pet:Pet"),
     ("pttc", "_headway:Pttc"),
     ("rss", "_rss:Rss"),
-    ("spret", "_gap_time:SquaredGapTime"),
+    ("spret", "_gap_time:Spret"),
     ("stl", "_stl:Stl"),
     ("stn", "_steering:Stn"),
     ("tet", "_tet_tit:Tet"),

@@ -88,7 +88,7 @@ def add_scenario_files(
     dependencies: dict[Path, bytes] = {}
     for item in selected:
         comment = f"Scenario {item.id} of the logical scenario {study.meta.title}: {item.why}"
-        if of_drivers := scenario.driver_parameters(item.values):
+        if of_drivers := scenario.parse_driver_option_names(item.values):
             comment += f"; {', '.join(f'{name}={item.values[name]}' for name in of_drivers)}"
         own_drivers = drivers | _drivers_with_values(scenario, chosen_drivers, item.values)
         concrete = build_concrete_file(scenario, item.values, folder / item.file, own_drivers, comment)
@@ -155,7 +155,7 @@ def _drivers_with_values(
     A file can only name drivers of cornercase; the values of other drivers are in the manifest.
     """
     by_entity: dict[str, dict[str, Value]] = {}
-    for full_name, (entity, name) in scenario.driver_parameters(values).items():
+    for full_name, (entity, name) in scenario.parse_driver_option_names(values).items():
         by_entity.setdefault(entity, {})[name] = values[full_name]
     named: dict[str, str] = {}
     for entity, own in by_entity.items():

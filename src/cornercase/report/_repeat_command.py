@@ -181,7 +181,7 @@ def format_toml_study_file(study: StudyFile | Path | str) -> str:
         lines += [f"# {sentence}" for sentence in limits]
         name = meta.file_name if scenario is None else _relative_path(scenario.path)
         lines += [f"scenario = {_format_toml_string(name)}", *_format_settings(options)]
-    return "\n".join(map(_on_one_line, lines)) + "\n"
+    return "\n".join(map(_keep_comment_on_one_line, lines)) + "\n"
 
 
 def _relative_path(path: Path) -> str:
@@ -231,6 +231,6 @@ def _format_toml_string(value: str) -> str:
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
-def _on_one_line(line: str) -> str:
+def _keep_comment_on_one_line(line: str) -> str:
     """Replace line breaks by spaces if the text is a TOML comment, since names in comments may contain line breaks."""
     return " ".join(line.splitlines()) if line.startswith("#") else line

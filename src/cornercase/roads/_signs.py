@@ -45,13 +45,13 @@ def read_road_speed_limits(road: etree._Element) -> SpeedLimits:
     """Return the speed limits along a road, from the <type> elements of the road."""
     types = find_untracked(road, "type")
     return _sort_limits(
-        (_read_number(element, "s"), next(iter(find_untracked(element, "speed")), None)) for element in types
+        (_read_number_or_nan(element, "s"), next(iter(find_untracked(element, "speed")), None)) for element in types
     )
 
 
 def read_lane_speed_limits(lane: etree._Element) -> SpeedLimits:
     """Return the speed limits of a lane; starts are measured from the start of the lane section."""
-    return _sort_limits((_read_number(element, "sOffset"), element) for element in find_untracked(lane, "speed"))
+    return _sort_limits((_read_number_or_nan(element, "sOffset"), element) for element in find_untracked(lane, "speed"))
 
 
 def speed_limit_at(limits: SpeedLimits, s: FloatArray) -> FloatArray:
@@ -69,11 +69,11 @@ def _read_limit(speed: etree._Element) -> float:
     unit = _METRES_PER_SECOND.get(speed.attrib.get("unit", "m/s"), math.nan)
     if speed.attrib.get("max") == "no limit":
         return math.inf
-    limit = _read_number(speed, "max") * unit
+    limit = _read_number_or_nan(speed, "max") * unit
     return limit if limit >= 0.0 else math.nan
 
 
-def _read_number(element: etree._Element, name: str) -> float:
+def _read_number_or_nan(element: etree._Element, name: str) -> float:
     """Return an attribute as a number; NaN if invalid, so that signs and limits never make a file unusable."""
     try:
         return float(element.attrib.get(name, math.nan))
@@ -87,7 +87,7 @@ def read_signals(road: etree._Element) -> tuple[RoadSignal, ...]:
     signals = [
         RoadSignal(
             element.attrib.get("id", ""),
-            _read_number(element, "s"),
+            _read_number_or_nan(element, "s"),
             element.attrib.get("orientation") != "-",
             element.attrib.get("orientation") != "+",
             element.attrib.get("type", ""),
@@ -102,7 +102,7 @@ def read_signals(road: etree._Element) -> tuple[RoadSignal, ...]:
 
 
 def _read_lane_interval(validity: etree._Element) -> tuple[float, float]:
-    first, last = _read_number(validity, "fromLane"), _read_number(validity, "toLane")
+    first, last = _read_number_or_nan(validity, "fromLane"), _read_number_or_nan(validity, "toLane")
     return min(first, last), max(first, last)
 
 

@@ -270,14 +270,14 @@ class ScenarioFile:
     def require_declared(self, names: tuple[str, ...] | list[str]) -> None:
         """Raise `InputError` for a name that is neither a declared parameter nor an option of an entity's driver."""
         for name in names:
-            if name in self.parameters or self.driver_parameters([name]):
+            if name in self.parameters or self.parse_driver_option_names([name]):
                 continue
             entity, dot, option = name.partition(".")
             possible = {*self.parameters, *(f"{other}.{option}" for other in self.entities if dot)}
             also = f", and has no entity '{entity}' with a driver" if dot else ""
             raise InputError(f"{self.path}: declares no parameter '{name}'{also}; {suggest_name(name, possible)}")
 
-    def driver_parameters(self, names: Iterable[str]) -> dict[str, tuple[str, str]]:
+    def parse_driver_option_names(self, names: Iterable[str]) -> dict[str, tuple[str, str]]:
         """Return entity and option for each name of a driver option, such as ``Ego.reaction``.
 
         Other names, and names that the file declares as parameters, are left out.

@@ -122,7 +122,7 @@ class ConcreteScenario:
         """
         if not any("." in name for name in self.values):
             return self
-        own = self.load_file().driver_parameters(self.values)
+        own = self.load_file().parse_driver_option_names(self.values)
         values = {name: value for name, value in self.values.items() if own.get(name, ("",))[0] != entity}
         return replace(self, values=values)
 

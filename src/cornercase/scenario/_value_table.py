@@ -45,7 +45,7 @@ def read_value_table(path: Path, scenario: ScenarioFile) -> tuple[ValueRow, ...]
     parameters = {name: unescape_csv_cell(name) for name in names if name != FILE_COLUMN}
     if not parameters or len({*parameters.values()}) + (FILE_COLUMN in names) < len(names):
         raise InputError(f"{path}: needs a header with each parameter once, not {', '.join(names) or 'an empty one'}.")
-    declared, of_drivers = scenario.parameters, scenario.driver_parameters(parameters.values())
+    declared, of_drivers = scenario.parameters, scenario.parse_driver_option_names(parameters.values())
     for name in parameters.values():
         if name not in declared and name not in of_drivers:
             raise InputError(

@@ -25,7 +25,7 @@ def find_parameters_of_drivers(
     `drivers` override the drivers of the file. Raises `InputError` for a parameter that the driver does not have.
     """
     by_entity: dict[str, dict[str, str]] = {}
-    for full_name, (entity, name) in scenario.driver_parameters(dict.fromkeys(names)).items():
+    for full_name, (entity, name) in scenario.parse_driver_option_names(dict.fromkeys(names)).items():
         by_entity.setdefault(entity, {})[name] = full_name
     parameters = []
     for entity, own in by_entity.items():
@@ -56,7 +56,7 @@ def check_driver_parameters(
 ) -> None:
     """Raise `InputError` if a simulator takes no parameters of drivers, or a driver refuses a value in `samples`."""
     names = list(dict.fromkeys(name for values in samples for name in values))
-    if not (own := scenario.driver_parameters(names)):
+    if not (own := scenario.parse_driver_option_names(names)):
         return
     simulator_class = SIMULATORS.get_class(simulator)
     if not simulator_class.takes_driver_parameters:

@@ -12,7 +12,7 @@ from cornercase.scenario._file import ScenarioFile
 from cornercase.simulators._base import Simulator
 
 
-def find_random_sensors(
+def find_entities_with_random_sensors(
     simulator: Simulator, scenarios: Iterable[ScenarioFile], varied: Iterable[str] = ()
 ) -> tuple[str, ...]:
     """Return the entities with random sensors; `varied` has the parameters of a search, such as ``"Ego.noise"``."""

@@ -43,7 +43,7 @@ def _select_values(
     scenario: SuiteScenario, drivers: Mapping[str, Driver], notices: dict[str, None]
 ) -> dict[str, float | str]:
     selected = {}
-    for full_name, (entity, name) in scenario.scenario.driver_parameters(scenario.values).items():
+    for full_name, (entity, name) in scenario.scenario.parse_driver_option_names(scenario.values).items():
         if entity not in drivers:
             continue
         try:

@@ -19,7 +19,7 @@ from cornercase.metrics import Metric
 from cornercase.metrics._measure import evaluate_metrics
 from cornercase.recordings import Recording
 from cornercase.simulators import Simulator
-from cornercase.simulators._random_sensors import find_random_sensors
+from cornercase.simulators._random_sensors import find_entities_with_random_sensors
 from cornercase.simulators._results import find_refusals, get_simulator_class, list_ignored_content, run_scenarios
 from cornercase.simulators._run_notices import RunNotices, warn_if_ego_has_no_driver
 from cornercase.study import ScenarioRecord, StudyFile, StudyMeta
@@ -97,7 +97,7 @@ def _run_again(
 
 
 def _has_random_sensors(suite: SuiteContents, simulator: Simulator) -> bool:
-    return bool(find_random_sensors(simulator, (item.scenario for item in suite.runnable_scenarios)))
+    return bool(find_entities_with_random_sensors(simulator, (item.scenario for item in suite.runnable_scenarios)))
 
 
 def _warn_about_ignored_content(suite: SuiteContents, simulator: Simulator, ego: str) -> None:

@@ -17,7 +17,7 @@ from cornercase._common.text.sanitize import escape_control_characters, remove_f
 from cornercase._common.validation import check_bool, check_mapping, check_str, check_str_sequence
 from cornercase._common.validation import check_path as path_argument
 from cornercase.drivers import Driver
-from cornercase.drivers._resolve import DriverLike, check_drivers, check_reference_driver, resolve_driver
+from cornercase.drivers._resolve import DriverLike, check_drivers, refuse_program_driver, resolve_driver
 from cornercase.drivers._serialization import require_storable_drivers
 from cornercase.exploration._explore_options import OPTIONS
 from cornercase.metrics import METRICS, Expression, Metric
@@ -213,7 +213,7 @@ def _create_reference_simulator(
     factory: Callable[..., Simulator], options: dict[str, Any], ego: str, reference: str
 ) -> Simulator:
     try:
-        check_reference_driver(reference)
+        refuse_program_driver(reference)
         return factory(options | {"drivers": {**options["drivers"], ego: resolve_driver(reference)}})
     except InputError as error:
         raise InputError(f"`require` names the reference driver {reference}: {error}") from error

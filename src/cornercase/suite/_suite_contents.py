@@ -109,6 +109,6 @@ class SuiteContents:
         digest = hashlib.sha256()
         for scenario in self.scenarios:
             digest.update(f"{scenario.file_name}\0{scenario.fingerprint}\0".encode())
-            of_drivers = {} if scenario.error else scenario.scenario.driver_parameters(scenario.values)
+            of_drivers = {} if scenario.error else scenario.scenario.parse_driver_option_names(scenario.values)
             digest.update("".join(f"{name}={scenario.values[name]}\0" for name in of_drivers).encode())
         return digest.hexdigest()

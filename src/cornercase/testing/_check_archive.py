@@ -23,7 +23,7 @@ from cornercase.simulators import SIMULATORS, Simulator
 from cornercase.simulators._registry import simulator_availability
 from cornercase.testing._agent_runs import AGENT_LIMITS
 from cornercase.testing._contract_check import CheckResult
-from cornercase.testing._crash import CrashResult
+from cornercase.testing._crash import SimulatorCrashResult
 from cornercase.testing._deviations import TOLERANCES, UNITS, SmallRun
 from cornercase.testing._small_scenarios import AGENT_DURATIONS, SMALL_SCENARIOS, write_small_scenarios
 
@@ -33,7 +33,7 @@ def write_check_archive(
     simulator: str | Simulator,
     results: Sequence[CheckResult],
     runs: Sequence[SmallRun],
-    crashes: Sequence[CrashResult],
+    crashes: Sequence[SimulatorCrashResult],
 ) -> None:
     """Write a ZIP file with a simulator's check results, the small scenarios, and recordings of both simulators."""
     proof = _make_archive_summary(simulator, results, runs, crashes)
@@ -57,7 +57,7 @@ def _make_archive_summary(
     simulator: str | Simulator,
     results: Sequence[CheckResult],
     runs: Sequence[SmallRun],
-    crashes: Sequence[CrashResult],
+    crashes: Sequence[SimulatorCrashResult],
 ) -> Mapping[str, Any]:
     availability = simulator_availability(simulator)
     settings, versions = _read_settings_and_versions(simulator)

@@ -31,7 +31,7 @@ _DEATH_TIMEOUT: Final = 5.0
 
 
 @dataclass(frozen=True)
-class CrashResult:
+class SimulatorCrashResult:
     """Results of runs of the same scenario, while the simulator was killed once."""
 
     killed: str  # command line of the process that was killed
@@ -58,7 +58,7 @@ class CrashResult:
         return largest
 
 
-def crash_during_runs(simulator: str, concrete: ConcreteScenario, ego: str) -> CrashResult:
+def crash_during_runs(simulator: str, concrete: ConcreteScenario, ego: str) -> SimulatorCrashResult:
     """Run a scenario again and again, and kill the simulator once meanwhile.
 
     If the worker process has started a server, the server is killed, otherwise the worker process itself. Raises
@@ -98,7 +98,7 @@ def crash_during_runs(simulator: str, concrete: ConcreteScenario, ego: str) -> C
         if not n_before or n_before[0] == count:
             raise NotTriedError("All scenarios had ended before the simulator could be killed; run the check again.")
         assert _is_gone(victim), "It goes on running after it was killed."
-    return CrashResult(command, is_server, n_before[0], tuple(durations), first, tuple(outcomes))
+    return SimulatorCrashResult(command, is_server, n_before[0], tuple(durations), first, tuple(outcomes))
 
 
 def _is_gone(process: psutil.Process) -> bool:

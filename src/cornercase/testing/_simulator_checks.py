@@ -24,7 +24,7 @@ from cornercase.simulators._base import require_settings
 from cornercase.simulators._registry import simulator_availability
 from cornercase.testing._cases import Cases, default_cases, write_cases_without_drivers, write_cases_without_events
 from cornercase.testing._contract_check import ContractCheck, NotTriedError
-from cornercase.testing._crash import CrashResult, crash_during_runs
+from cornercase.testing._crash import SimulatorCrashResult, crash_during_runs
 from cornercase.testing._deviations import SmallRun, run_small_scenario, run_with_agent
 from cornercase.testing._example_driver import CarFollowing
 from cornercase.testing._small_scenarios import AGENT_DURATIONS, SMALL_SCENARIOS, write_small_scenarios
@@ -48,7 +48,7 @@ def simulator_checks(
     simulator: str | Simulator,
     cases: Sequence[Cases] | None = None,
     on_run: Callable[[SmallRun], None] | None = None,
-    on_crash: Callable[[CrashResult], None] | None = None,
+    on_crash: Callable[[SimulatorCrashResult], None] | None = None,
 ) -> list[ContractCheck]:
     """Return the contract checks of a simulator.
 
@@ -231,7 +231,7 @@ def _check_batch_independence(simulator: Any, all_cases: Sequence[Cases]) -> Non
 
 
 def _check_crash_recovery(
-    simulator: Any, all_cases: Sequence[Cases], on_crash: Callable[[CrashResult], None] | None = None
+    simulator: Any, all_cases: Sequence[Cases], on_crash: Callable[[SimulatorCrashResult], None] | None = None
 ) -> None:
     if not isinstance(simulator, str):
         raise NotTriedError("A simulator object runs in this process, which cannot be killed; give the name instead.")

@@ -296,11 +296,11 @@ class _CollisionCase:
         if not self.chance(second).is_whole:
             return _Ruling((), conflict, "the recording begins too late to show who could have acted")
         lateness = f"{{{first}}} comes into the way of {{{second}}} {self._describe_lateness(second)}"
-        if self.chance(first).could_avoid or on_foot[first] or self._has_just_started(first):
+        if self.chance(first).could_avoid or on_foot[first] or self._has_just_moved_off(first):
             return _Ruling((first,), conflict, lateness)
         return _Ruling((), conflict, f"{lateness}, and could not have avoided it either")
 
-    def _has_just_started(self, k: int) -> bool:
+    def _has_just_moved_off(self, k: int) -> bool:
         """Return whether a party stood within the last 5 s, out of the path of the other, and could have waited."""
         party = self.parties[k]
         standing = party.time[np.abs(party.speed) < STANDING_SPEED]

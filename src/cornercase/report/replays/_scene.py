@@ -88,21 +88,25 @@ class Scene:
                     hidden_area(motion, self._ego, other, time_index) if other not in (self._ego, self._other) else None
                 )
                 if hidden is not None:
-                    self._draw_once(Polygon(hidden, facecolor=_SHADOW, edgecolor="none"))
+                    self._draw_in_this_frame_only(Polygon(hidden, facecolor=_SHADOW, edgecolor="none"))
         for entity in existing:
             past = self._paths[entity][self._recording.time <= time + 1e-6]
             line: Any = "--" if entity in self._others else "-"
-            self._draw_once(Line2D(*past.T, color=self._entity_colour(entity), linewidth=1.6, linestyle=line))
+            self._draw_in_this_frame_only(
+                Line2D(*past.T, color=self._entity_colour(entity), linewidth=1.6, linestyle=line)
+            )
         if self._ego in existing and self._other in existing:
             seen = is_visible(motion, self._ego, self._other, time_index)
             target = [motion.x[self._other, time_index], motion.y[self._other, time_index]]
             sight_line = np.stack([motion.eye_position(self._ego, time_index), target])
-            self._draw_once(Line2D(*sight_line.T, color=EGO, linewidth=1.3, linestyle="-" if seen else (0, (1, 3))))
+            self._draw_in_this_frame_only(
+                Line2D(*sight_line.T, color=EGO, linewidth=1.3, linestyle="-" if seen else (0, (1, 3)))
+            )
         for entity in existing:
             self._draw_entity(motion, entity, time_index)
         for hit_time, point in self._collisions:
             if time >= hit_time - 1e-6:
-                self._draw_once(
+                self._draw_in_this_frame_only(
                     Line2D(*point[:, None], marker=(8, 1, 0), markersize=18, color=_COLLISION, markeredgecolor="white")
                 )
                 self._draw_text(
@@ -119,14 +123,18 @@ class Scene:
         center = np.array([x, y])
         if self._recording.object_types[entity] == "pedestrian":
             radius = max(0.5 * motion.length[entity], 0.5 * motion.width[entity], _MIN_RADIUS * self._view_height)
-            self._draw_once(Circle((x, y), radius, facecolor=colour, edgecolor="white", linewidth=1.0))
+            self._draw_in_this_frame_only(Circle((x, y), radius, facecolor=colour, edgecolor="white", linewidth=1.0))
             tip, base = center + 1.8 * radius * ahead, center + 1.05 * radius * ahead
-            self._draw_once(Polygon([tip, base + 0.6 * radius * left, base - 0.6 * radius * left], color=colour))
+            self._draw_in_this_frame_only(
+                Polygon([tip, base + 0.6 * radius * left, base - 0.6 * radius * left], color=colour)
+            )
             return
-        self._draw_once(Polygon(motion.corners(entity, time_index), facecolor=colour, edgecolor="white", linewidth=1.0))
+        self._draw_in_this_frame_only(
+            Polygon(motion.corners(entity, time_index), facecolor=colour, edgecolor="white", linewidth=1.0)
+        )
         long, wide = 0.5 * motion.length[entity] * ahead, 0.5 * motion.width[entity] * left
         nose = [center + 0.92 * long, center + 0.45 * long + 0.75 * wide, center + 0.45 * long - 0.75 * wide]
-        self._draw_once(Polygon(nose, facecolor="white", edgecolor="none", alpha=0.85))
+        self._draw_in_this_frame_only(Polygon(nose, facecolor="white", edgecolor="none", alpha=0.85))
 
     def _draw_label(self, motion: Motion, entity: int, time_index: int) -> None:
         speed = motion.speed[entity, time_index]
@@ -149,7 +157,7 @@ class Scene:
         self._label.set(text=text, position=(x, y), color=colour, va=align)
         self._axes.draw_artist(self._label)
 
-    def _draw_once(self, artist: Artist) -> None:
+    def _draw_in_this_frame_only(self, artist: Artist) -> None:
         """Draw an artist, and remove it from the axes at once so that the next frame does not show it."""
         self._axes.add_artist(artist)
         self._axes.draw_artist(artist)

@@ -259,7 +259,7 @@ def split_off_driver_parameters(
     The first part has for each entity a dict from short to full names, such as ``{"reaction": "Ego.reaction"}``, and
     the values by short name in each scenario. Raises `BatchSplitError` if only some scenarios have a driver parameter.
     """
-    parameters = scenario.driver_parameters({name for of_scenario in values for name in of_scenario})
+    parameters = scenario.parse_driver_option_names({name for of_scenario in values for name in of_scenario})
     if partly_given := {name for name in parameters if not all(name in of_scenario for of_scenario in values)}:
         raise BatchSplitError(partly_given)
     by_entity: dict[str, dict[str, str]] = {}

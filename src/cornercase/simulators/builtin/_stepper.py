@@ -161,7 +161,7 @@ class Stepper:
         first = 0
         for condition, spec in in_tables + others:
             condition.use_leaf_values(table.last_values[:, first : first + len(spec.leaves)])
-            if condition.constant_value(self._world) is not None:
+            if condition.value_until_next_event(self._world) is not None:
                 self._constant_conditions.append((first, condition))
             first += len(spec.leaves)
         self._condition_table = table
@@ -270,9 +270,9 @@ class Stepper:
         leaves.is_watched[:] = waiting.T
         # Triggers that depend on earlier values: one more evaluation shows whether they fire.
         in_python = waiting[self._triggers_with_memory].any(axis=0) & world.changed
-        in_python |= waiting[self._python_triggers].any(axis=0) | self._storyboard.find_untriggered_starts()
+        in_python |= waiting[self._python_triggers].any(axis=0) | self._storyboard.find_triggerless_standby()
         for k, condition in self._constant_conditions:
-            leaves.values[:, k, 0] = condition.constant_value(world)
+            leaves.values[:, k, 0] = condition.value_until_next_event(world)
         times = [np.where(waiting[t], past.oldest_pending_time(), np.inf) for t, past in self._condition_histories]
         times += [controller.next_phase_start(world.time) for controller in world.signal_controllers.values()]
         for d, pending_since in enumerate(times):

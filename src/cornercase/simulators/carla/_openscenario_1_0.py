@@ -26,9 +26,14 @@ from cornercase.scenario._file import DRIVER_PROPERTY, ScenarioFile
 from cornercase.scenario._left_handed_axes import mirror_axes
 from cornercase.scenario._scope import Scope
 from cornercase.simulators.builtin._check import schema_errors
-from cornercase.simulators.carla._actor_plan import ActorPlan, plan_actors, refuse_unsupported, select_stop_conditions
 from cornercase.simulators.carla._code_injection import add_criteria, pop_criteria, refuse_code_injection
 from cornercase.simulators.carla._controller_assignment import DrivingAgents, assign_controllers
+from cornercase.simulators.carla._movement_plan import (
+    MovementPlan,
+    plan_movements,
+    refuse_unsupported,
+    select_stop_conditions,
+)
 from cornercase.simulators.carla._path_deviations import find_deviating_entities, initial_heights
 from cornercase.simulators.carla._road_conversion import NARROW_WIDTH, VERGE_WIDTH, find_entities_beyond_ground, is_flat
 from cornercase.simulators.carla._storyboard_rewrite import (
@@ -277,7 +282,7 @@ def _make_tree_1_0(
         [] if recording is None or road is None else _describe_missing_ground(recording, road, scenario, options)
     )
     axes_notes = (_AXES_NOTE,) if scenario.has_left_handed_axes else ()
-    actor_plan = plan_actors(root, sorted(driven), scenario.path, map_name, astray, slowest)
+    actor_plan = plan_movements(root, sorted(driven), scenario.path, map_name, astray, slowest)
     notes = [*axes_notes, *actor_plan.notes, *beyond_ground]
     for name in actor_plan.sampled if not options.open_loop else ():
         if name in actor_plan.reacting:
@@ -446,7 +451,7 @@ def _trim_numbers(root: etree._Element) -> None:
                 element.set(name, number if is_plain else f"{Decimal(number):f}")
 
 
-def _rewrite_entities(root: etree._Element, ego: str, actor_plan: ActorPlan, notes: list[str]) -> None:
+def _rewrite_entities(root: etree._Element, ego: str, actor_plan: MovementPlan, notes: list[str]) -> None:
     for holder in root.iterfind("Entities/ScenarioObject"):
         name = holder.get("name", "")
         for controlled in holder.findall("ObjectController"):

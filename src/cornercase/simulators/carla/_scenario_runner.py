@@ -80,7 +80,7 @@ def run_scenario_runner(
     runner.start(file.parent, log, drivers, 1.0 / time_step, arguments)
     try:
         try:
-            stopped = _wait_for_end(runner, tracker, log, limits, before_start)
+            stopped = _wait_for_end_or_limit(runner, tracker, log, limits, before_start)
         except SimulatorError:
             # CARLA's client may abort when the process ends that has failed.
             if limits.describe_server_end() or not _is_caused_by_scenario(_read_failure(failure)):
@@ -106,7 +106,7 @@ def run_scenario_runner(
         raise
 
 
-def _wait_for_end(
+def _wait_for_end_or_limit(
     runner: RunnerProcess,
     tracker: EntityTracker,
     log: Path,

@@ -143,7 +143,7 @@ class Esmini(Simulator):
             self.check_supported(scenario)
             for entity in self._drivers:
                 scenario.require_entity(entity, "driven entity")
-            self._require_known_parameters(scenario, concrete.values)
+            self._refuse_parameters_of_absent_drivers(scenario, concrete.values)
             try:
                 yield self._run_scenario(self._library, scenario, concrete)
             finally:
@@ -174,9 +174,9 @@ class Esmini(Simulator):
     def check_runnable(self, concretes: Sequence[ConcreteScenario]) -> None:
         """Refuse parameters of drivers that the option `undriven` leaves out."""
         for concrete in concretes:
-            self._require_known_parameters(concrete.load_file(), concrete.values)
+            self._refuse_parameters_of_absent_drivers(concrete.load_file(), concrete.values)
 
-    def _require_known_parameters(self, scenario: ScenarioFile, values: Mapping[str, Value]) -> None:
+    def _refuse_parameters_of_absent_drivers(self, scenario: ScenarioFile, values: Mapping[str, Value]) -> None:
         driving = self._drivers_of(scenario)
         for entity, _, names in find_parameters_of_drivers(scenario, driving, values):
             if entity not in driving:
@@ -193,7 +193,7 @@ class Esmini(Simulator):
     ) -> Recording | SimulationError:
         values = concrete.values
         # esmini does not know the parameters of drivers.
-        own = {name: value for name, value in values.items() if name not in scenario.driver_parameters(values)}
+        own = {name: value for name, value in values.items() if name not in scenario.parse_driver_option_names(values)}
         parameter_types = {
             e.get("name", ""): e.get("parameterType", "")
             for e in scenario.root.iterfind("ParameterDeclarations/ParameterDeclaration")
@@ -223,7 +223,7 @@ class Esmini(Simulator):
             check_state_layout(lib, lib.SE_GetId(0))
             self._layout_checked = True
         log = _StateLog(lib)
-        collides = log.record_state(0.0)
+        collides = log.record_and_detect_collision(0.0)
         try:
             driven = start_drivers(
                 lib, self._drivers_of(scenario), scenario, values, concrete.seed, log.states, self._time_step
@@ -246,7 +246,7 @@ class Esmini(Simulator):
         for step in range(steps + 1):
             time = step * self._time_step
             if step:
-                collides = log.record_state(time, {entity.name for entity in driven if entity.was_moved})
+                collides = log.record_and_detect_collision(time, {entity.name for entity in driven if entity.was_moved})
             if step == steps or (collides and self._stop_on_collision):
                 cut_off = step == steps and scenario.root.find("Storyboard/StopTrigger//Condition") is not None
                 break
@@ -274,7 +274,7 @@ class _StateLog:
         self._colliding_pairs: set[tuple[str, str]] = set()
         self._collisions: dict[tuple[str, str], float] = {}
 
-    def record_state(self, time: float, moved: Set[str] = frozenset()) -> bool:
+    def record_and_detect_collision(self, time: float, moved: Set[str] = frozenset()) -> bool:
         """Record the current state of all entities at a time in s; return whether a collision has begun.
 
         `moved`: entities that were moved after esmini looked for collisions.

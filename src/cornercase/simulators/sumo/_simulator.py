@@ -129,7 +129,7 @@ class Sumo(Simulator):
             for entity in self._drivers:
                 scenario.require_entity(entity, "driven entity")
             types = self._find_vehicle_types(scenario)
-            self._require_known_parameters(scenario, types, concrete.values)
+            self._refuse_parameters_of_absent_drivers(scenario, types, concrete.values)
             try:
                 yield self._run_scenario(prepared, concrete, types)
             except UnusableValuesError as error:
@@ -179,9 +179,9 @@ class Sumo(Simulator):
         """Refuse driver parameters of entities that SUMO itself drives."""
         for concrete in concretes:
             scenario = concrete.load_file()
-            self._require_known_parameters(scenario, self._find_vehicle_types(scenario), concrete.values)
+            self._refuse_parameters_of_absent_drivers(scenario, self._find_vehicle_types(scenario), concrete.values)
 
-    def _require_known_parameters(
+    def _refuse_parameters_of_absent_drivers(
         self, scenario: ScenarioFile, types: Mapping[str, str], values: Mapping[str, Value]
     ) -> None:
         for entity, _, names in find_parameters_of_drivers(scenario, self._drivers, values):

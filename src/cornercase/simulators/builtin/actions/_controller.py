@@ -21,7 +21,7 @@ from cornercase.drivers._view import FARTHEST_ON_TRAJECTORY
 from cornercase.scenario._file import DRIVER_PROPERTY
 from cornercase.scenario._scope import Scope
 from cornercase.simulators.builtin.actions._action import Action
-from cornercase.simulators.builtin.kernels._driver_inputs import OTHERS_ROWS, OWN_ROWS, copy_driver_inputs
+from cornercase.simulators.builtin.kernels._entity_state_copy import OTHERS_ROWS, OWN_ROWS, copy_driver_inputs
 from cornercase.simulators.builtin.tracks._lane import LaneTrack
 from cornercase.simulators.builtin.tracks._track import Track, Trajectory
 from cornercase.simulators.builtin.world._lane_following import follow_lane_at_position

@@ -95,7 +95,7 @@ class Storyboard:
         """Return which actions run, boolean array (number of actions, number of scenarios)."""
         return np.asarray(self._states[self._action_rows] == RUNNING)
 
-    def find_untriggered_starts(self) -> BoolArray:
+    def find_triggerless_standby(self) -> BoolArray:
         """Return the scenarios in which an element without start trigger waits, or the storyboard has stopped."""
         return np.asarray(self._stopped | (self._states[self._untriggered_rows] == STANDBY).any(axis=0))
 

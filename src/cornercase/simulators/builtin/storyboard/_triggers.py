@@ -101,7 +101,7 @@ class Condition:
         if isinstance(self.test, EntityCondition | ValueCondition):
             self.test.leaf_values = leaf_values
 
-    def constant_value(self, world: World) -> BoolArray | None:
+    def value_until_next_event(self, world: World) -> BoolArray | None:
         """Return the value in each scenario if only the storyboard or a signal controller can change it; else None."""
         test = self.test
         return test.value(world) if isinstance(test, ValueCondition) and test.value is not None else None
@@ -218,7 +218,9 @@ class Trigger:
         """Return the scenarios in which the trigger can fire later: a group has no condition that stays false."""
         result = np.zeros(world.scenarios, dtype=np.bool_)
         for group in self.groups:
-            constants = [condition.constant_value(world) for condition in group if not condition.changes_by_itself]
+            constants = [
+                condition.value_until_next_event(world) for condition in group if not condition.changes_by_itself
+            ]
             result |= np.all([value for value in constants if value is not None], axis=0)
         return result
 

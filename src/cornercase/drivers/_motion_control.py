@@ -121,7 +121,7 @@ class VehicleMover:
         is_driven = is_steered & ~is_exact
         is_tracked = is_driven & np.isnan(steering)
         if is_driven.any():
-            self._track_path(situation, begin, steering, is_tracked)
+            self._set_path_tracking_steering(situation, begin, steering, is_tracked)
             if self._steered is None:
                 self._steered = VEHICLES.create(_DEFAULT_VEHICLE)
                 self._steered.start(self._start)
@@ -197,7 +197,9 @@ class VehicleMover:
             del self._memory.changes[n]
         return None
 
-    def _track_path(self, situation: Situation, begin: PlanarMotion, steering: FloatArray, rows: BoolArray) -> None:
+    def _set_path_tracking_steering(
+        self, situation: Situation, begin: PlanarMotion, steering: FloatArray, rows: BoolArray
+    ) -> None:
         """Set the steering angles that follow the path, in the scenarios of the mask `rows`."""
         if rows.any():
             ahead = begin.speed * (0.5 * situation.time_step + self._response)

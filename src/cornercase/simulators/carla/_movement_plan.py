@@ -21,7 +21,7 @@ _REFERENCE_ATTRIBUTES: Final = ("entityRef", "masterEntityRef")
 
 
 @dataclass
-class ActorPlan:
+class MovementPlan:
     """A plan of how each entity of a scenario is moved.
 
     `sampled`: entities that move along a trajectory of the builtin simulator, with the reasons. `reacting`: entities
@@ -35,14 +35,14 @@ class ActorPlan:
     notes: list[str] = field(default_factory=list)
 
 
-def plan_actors(
+def plan_movements(
     root: etree._Element,
     driven: Collection[str],
     source: Path,
     carla_map_name: str,
     deviations: Mapping[str, str],
     lowest_speeds: Mapping[str, float],
-) -> ActorPlan:
+) -> MovementPlan:
     """Decide how each entity is moved: by an agent, by the storyboard or along a trajectory.
 
     An entity that does not react to agent-driven entities moves the same way in each run. If ScenarioRunner deviates
@@ -56,7 +56,7 @@ def plan_actors(
     names = [element.get("name", "") for element in root.iterfind("Entities/ScenarioObject")]
     parts = {name: list(_find_elements_moving_entity(root, name)) for name in names}
     reacting = _reacting_entities(root, parts, driven)
-    result = ActorPlan(reacting=reacting - set(driven))
+    result = MovementPlan(reacting=reacting - set(driven))
     result.notes += _describe_ineffective(root)
     for name in names:
         if name in driven:
@@ -87,7 +87,7 @@ def plan_actors(
             result.sampled.setdefault(name, []).extend(reasons)
         elif reasons and name not in result.sampled:
             result.notes += [f"{name}: {reason}." for reason in dict.fromkeys(reasons)]
-    _plan_dependent_entities(root, parts, result, driven)
+    _plan_trajectories_of_waiting_entities(root, parts, result, driven)
     result.notes += [
         f"{name} moves along a trajectory of the builtin simulator, as {'; '.join(dict.fromkeys(reasons))}."
         for name, reasons in result.sampled.items()
@@ -101,7 +101,7 @@ def plan_actors(
 
 
 def select_stop_conditions(
-    root: etree._Element, actor_plan: ActorPlan, driven: Collection[str]
+    root: etree._Element, actor_plan: MovementPlan, driven: Collection[str]
 ) -> list[etree._Element]:
     """Return the condition groups of the stop trigger that ScenarioRunner can check; note all others in the plan.
 
@@ -122,7 +122,7 @@ def select_stop_conditions(
     return groups
 
 
-def _drop_events_of_driven(name: str, parts: list[etree._Element], actor_plan: ActorPlan) -> None:
+def _drop_events_of_driven(name: str, parts: list[etree._Element], actor_plan: MovementPlan) -> None:
     """Plan to leave out the events of an agent-driven entity if ScenarioRunner would fail at one of them."""
     for part in parts:
         if part.tag == "ManeuverGroup" and any(
@@ -330,8 +330,8 @@ def _referenced_actors(root: etree._Element, state: etree._Element) -> set[str]:
     }
 
 
-def _plan_dependent_entities(
-    root: etree._Element, parts: dict[str, list[etree._Element]], actor_plan: ActorPlan, driven: Collection[str]
+def _plan_trajectories_of_waiting_entities(
+    root: etree._Element, parts: dict[str, list[etree._Element]], actor_plan: MovementPlan, driven: Collection[str]
 ) -> None:
     """Plan trajectories also for entities that wait for events that the plan removes from the storyboard."""
     waiting = {
@@ -345,7 +345,7 @@ def _plan_dependent_entities(
         if name not in driven
     }
 
-    def replaced_entities(actor_plan: ActorPlan) -> set[str]:
+    def replaced_entities(actor_plan: MovementPlan) -> set[str]:
         return actor_plan.dropped | set(actor_plan.sampled)
 
     while more := [
