@@ -2,9 +2,10 @@
 
 Series are sorted by length. Each block of 8 (double precision) or 16 (single precision) neighbours is interleaved, so
 that one vector holds the same instant of all of them. A tile is the comparison of such a block with several single
-series. The recurrence advances four rows at a time: their values stay in registers, and four independent chains hide
-the latency of each other. Every cell is one rounded sum of its cost and an exact minimum. So the result does not depend
-on the order of the cells, the neighbouring lanes, or the number of threads.
+series. The recurrence advances four rows at a time: the values of the rows stay in registers, and while one row waits
+for a result, the processor works on the other rows. The value of a cell is the cost of the cell plus the minimum of
+three neighbours. The minimum is exact, and the sum is rounded once. So the result does not depend on the order of the
+cells, the neighbouring lanes, or the number of threads.
 """
 
 # Compiled functions have no static types.
@@ -84,7 +85,7 @@ def compute_distances_on_cpu(
 
     Without `columns`, the rows are compared with each other, and only one half is computed. `report_progress` gets the
     number of cells (pairs of instants) done since its last call, in the thread of the caller. `needed` marks the pairs
-    that are wanted; other distances may be infinite.
+    that are wanted; the distances of all other pairs may be infinite.
     """
     if columns is not None and len(columns) < len(rows):
         # The longer side fills the lanes better; the distance is the same from either side.
@@ -260,9 +261,9 @@ def _advance_four_rows(x, i, y, lower, upper, row, below, above, infinity, dims,
 
 @cache
 def _tile_kernel(dims: int, squared: bool, banded: bool, lanes: int) -> Callable[..., None]:
-    """Make the kernel for one kind of local cost, one type, and a band or none.
+    """Make the compiled function for one number of dimensions and lanes, one local cost, and a band or none.
 
-    The kernel computes the distances of some single series to one interleaved block of series.
+    The function computes the distances of some single series to one interleaved block of series.
     """
 
     def tile(values, starts, lengths, block, block_lengths, selected, window, out):
@@ -307,7 +308,7 @@ def _tile_kernel(dims: int, squared: bool, banded: bool, lanes: int) -> Callable
 
 
 def compile_dtw_kernel(dims: int, squared: bool, banded: bool, dtype: npt.DTypeLike) -> Callable[..., None]:
-    """Return the compiled kernel for one kind of local cost, one type, and a band or none."""
+    """Return the compiled function for one number of dimensions, one local cost, one type, and a band or none."""
     dtype = np.dtype(dtype)
     kernel = _tile_kernel(dims, squared, banded, simd.VECTOR_BYTES // dtype.itemsize)
     floats, integers = np.zeros(dims, dtype=dtype), np.zeros(1, dtype=np.int64)

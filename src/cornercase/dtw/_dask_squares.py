@@ -40,7 +40,7 @@ _MIN_BANDS: Final = 12
 
 
 class DaskSquares:
-    """Squares (blocks) of a distance matrix, computed by a Dask cluster; the same as local results to the last bit.
+    """Squares (blocks) of a distance matrix, computed by a Dask cluster, with the same bits as on this machine.
 
     The series are divided into bands. Each band is sent to the Dask cluster once. A square needs two bands: for its
     rows and its columns.
@@ -185,7 +185,8 @@ def compute_distances_on_dask(
 def split_into_bands(size: int) -> list[range]:
     """Split `size` series into bands: ranges of indices.
 
-    The squares of a matrix that pairs of bands form are numerous, but not too small.
+    Each pair of bands is a square of the matrix. There should be enough squares for all workers, and a square should
+    be large enough to be worth sending.
     """
     side = min(max(-(-size // _MIN_BANDS), _SIDE_RANGE[0]), _SIDE_RANGE[1])
     return [range(first, min(first + side, size)) for first in range(0, size, side)]

@@ -101,7 +101,7 @@ def distance_matrix(
     settings = _check_settings(local_cost, window, dtype, n_jobs, device, client)
     arrays = _validate_series(series)
     if resume and out is None:
-        raise InputError("resume continues a matrix on disk; give the path of this matrix as out.")
+        raise InputError("resume needs a matrix on disk that it can continue; give the path of the matrix as out.")
     if len(arrays) < 2 and out is None:
         return np.zeros((len(arrays), len(arrays)), dtype=settings.dtype)
     arrays = _subtract_common_mean(arrays, settings.dtype, len(arrays))
@@ -184,8 +184,8 @@ def kernel_matrix(
 ) -> npt.NDArray[np.floating[Any]]:
     """Compute the Gaussian kernel ``exp(-gamma d²)`` of the dynamic time warping distances d between all pairs.
 
-    A distance is not computed if a lower bound proves that its entry of the kernel underflows to zero. The result is
-    the same to the bit as with all distances. The other options are those of `distance_matrix`.
+    A distance is not computed if a lower bound proves that its entry in the matrix underflows to zero. So the result is
+    the same to the bit as if all distances were computed. The other options are those of `distance_matrix`.
 
     Parameters
     ----------
@@ -252,7 +252,9 @@ def _check_settings(
     if client is not None:
         check_client(client)
         if device != "cpu":
-            raise InputError("`client` computes on the CPUs of its workers; omit `device` or `client`.")
+            raise InputError(
+                "`client` computes on the CPUs of its workers, so `device` must be 'cpu'; omit `device` or `client`."
+            )
     if local_cost not in ("euclidean", "squared"):
         raise InputError(f"local_cost is {local_cost!r}; choose 'euclidean' or 'squared'.")
     if device not in ("cpu", "cuda"):
@@ -270,9 +272,10 @@ def _check_settings(
 def _subtract_common_mean(
     arrays: list[npt.NDArray[np.float64]], dtype: np.dtype[Any], n_series: int
 ) -> list[npt.NDArray[np.float64]]:
-    """Subtract the mean of all points in single precision, so that large coordinates keep their digits.
+    """Subtract the mean of all points if `dtype` is single precision, so that large coordinates keep their digits.
 
-    In double precision, the arrays stay as they are. The first `n_series` arrays are series, the others are landmarks.
+    If `dtype` is double precision, the arrays stay as they are. The first `n_series` arrays are series, the others are
+    landmarks.
     """
     if dtype != np.float32 or not arrays:
         return arrays
@@ -307,9 +310,13 @@ def _validate_series(
         try:
             array = np.asarray(values, dtype=np.float64)
         except (TypeError, ValueError) as error:
-            raise InputError(f"{name} {index} is not an array of numbers; give shape (T,) or (T, k).") from error
+            raise InputError(
+                f"{name} {index} is not an array of numbers; give shape (T,) or (T, k) for T instants of k values."
+            ) from error
         if array.ndim not in (1, 2):
-            raise InputError(f"{name} {index} has {array.ndim} axes; give shape (T,) or (T, k).")
+            raise InputError(
+                f"{name} {index} has {array.ndim} axes; give shape (T,) or (T, k) for T instants of k values."
+            )
         if array.size == 0:
             raise InputError(f"{name} {index} is empty; leave it out.")
         array = array.reshape(len(array), -1)

@@ -95,8 +95,8 @@ def require_finite_distances(
 ) -> None:
     """Raise `InputError` for the first pair whose distance has overflowed.
 
-    The message counts rows from `first_row` and columns from `first_column`. `column_label` is the text before the
-    column's number, with a trailing space.
+    The message names the pair by the numbers of its row and its column. The first row has the number `first_row`, the
+    first column has `first_column`. `column_label` is the text before the column's number, with a trailing space.
     """
     if not np.isfinite(distances).all():
         i, j = np.argwhere(~np.isfinite(distances))[0] + (first_row, first_column)
@@ -140,18 +140,20 @@ def remove_duplicates(series: Sequence[Floats]) -> tuple[Sequence[Floats], IntAr
 def trim_common_constant_parts(
     rows: Sequence[Floats], columns: Sequence[Floats] | None
 ) -> tuple[Sequence[Floats], Sequence[Floats] | None]:
-    """Shorten a constant start or end that all series share to one point, which changes no distance.
+    """Reduce a constant start or end to a single point if all series have the same one; this changes no distance.
 
-    An example is a metric that stays at its cap. Without a window the distances stay the same to the bit.
+    An example is a metric that stays at its cap. The function is for distances without a window, which stay the same
+    to the bit.
 
-    Why: let x begin with p times the point c, and y with q times. A path through the cost table begins in the p by q
-    square of both constant starts. Suppose that it leaves the square early, at ``x[i]`` with ``i < p``. It then
-    continues along ``x[i] ... x[p - 1]``, which are all c, and meets each column on its way at least once. A path that
-    stays in the square until ``(p - 1, q - 1)`` pays nothing there. Meeting each of these columns from ``x[p - 1]``
-    then costs a subset of the same terms in the same order, and omitting non-negative terms raises no rounded sum. So
-    some cheapest path stays in the square, and its part before ``(p - 1, q - 1)`` can be cut off. The end is the start
-    reversed. A common start that is not constant cannot be cut off: after 0, 3 in both series, a path may have left
-    early to meet zeros in the other one.
+    Proof: let x begin with p points that equal c, and y with q points that equal c. In the cost table of x (rows) and y
+    (columns), the first p rows and q columns form a rectangle whose cells all cost 0. Path A leaves the rectangle
+    early: it goes on to later columns while it is still in a row ``i < p - 1``. Until it reaches row ``p - 1``, it
+    compares c with each of these columns at least once. Path B goes to the corner ``(p - 1, q - 1)`` at no cost, and
+    then passes the same columns in row ``p - 1``. So B adds a part of the costs of A, in the same order. As costs are
+    not negative, the rounded sum of B is not greater. The same holds for a path that goes on to later rows first. So
+    there is a cheapest path through the corner, and its part before the corner can be cut off. For a constant end,
+    reverse the series. A common start that is not constant cannot be cut off. For example, both series may begin with
+    0, 3. If zeros follow in one of them, the cheapest path may match these zeros with the first 0 of the other series.
     """
     series = [*rows, *(columns or ())]
     starts = np.array([values[0] for values in series])

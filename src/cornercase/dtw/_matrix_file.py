@@ -54,8 +54,8 @@ def fill_matrix_file(
 
     `out` is the path of a new file, or a memmap of an existing file. With `resume`, finished squares (blocks) in the
     file are not computed again. With a Dask `client`, the Dask cluster computes the squares, and this process writes
-    them. A square has `side` series per side. Raises `InputError` if `out` does not fit, exists without `resume`,
-    belongs to other series or settings, or lacks space.
+    them. A square has `side` series per side. Raises `InputError` if `out` has another shape or type, exists without
+    `resume`, or belongs to other series or settings, or if the disk has too little space.
     """
     size = len(series)
     path = Path(_path_of_memmap(out, size, settings.dtype) if isinstance(out, np.memmap) else out)
@@ -67,7 +67,9 @@ def fill_matrix_file(
     elif not resume and path.exists():
         raise InputError(f"{path}: already exists; continue it with resume=True, or give another path.")
     elif resume and path.exists() and not journal.exists():
-        raise InputError(f"{path}: {journal.name} is missing, so the finished part is unknown; give another path.")
+        raise InputError(
+            f"{path}: {journal.name} is missing, so it is unknown which blocks are finished; give another path."
+        )
     elif not path.exists():
         journal.unlink(missing_ok=True)
     existed = path.exists()
@@ -155,7 +157,7 @@ def _path_of_memmap(out: FloatMap, size: int, dtype: np.dtype[Any]) -> str:
     if out.shape != (size, size) or out.dtype != dtype:
         raise InputError(f"out is {out.dtype} of shape {out.shape}; give {dtype} of shape ({size}, {size}).")
     if out.filename is None or not isinstance(out.base, mmap.mmap) or not out.flags.c_contiguous:
-        raise InputError("out does not map a whole file in row-major order; give a numpy.memmap that does, or a path.")
+        raise InputError("out has to map a whole file in row-major order; give such a numpy.memmap, or a path.")
     if out.mode not in ("r+", "w+"):
         raise InputError(f"out is open in mode {out.mode!r}; open it with 'r+'.")
     return os.fspath(out.filename)
@@ -180,7 +182,10 @@ def _open_memmap(path: Path, size: int, dtype: np.dtype[Any], *, new: bool) -> F
 
 
 def _allocate_disk_space(path: Path) -> None:
-    """Allocate the whole file in advance, since the system kills a process that writes into a map of a full disk."""
+    """Allocate the whole file in advance.
+
+    If the disk became full later, the operating system would kill the process when it writes into the memory map.
+    """
     lacking = count_unallocated_bytes(path)
     free = shutil.disk_usage(path).free
     if lacking > free:
@@ -204,9 +209,9 @@ def _header_size(path: Path) -> int:
 
 
 def _read_or_create_journal(journal: Path, fingerprint: str) -> dict[tuple[int, int], int]:
-    """Return the checksums of the finished squares by row and column of squares.
+    """Return the checksum of each finished square; the key is the number of its row and of its column, in squares.
 
-    The journal is created if there is none. Raises `InputError` if it belongs to other series or settings.
+    The journal is created if there is none. Raises `InputError` if the journal belongs to other series or settings.
     """
     if not journal.exists():
         journal.write_text(fingerprint + "\n", encoding="utf-8", newline="\n")

@@ -20,8 +20,9 @@ def find_boundary_pairs(
     """Return the `count` nearest pairs of scenarios with different outcomes, nearest first.
 
     No scenario is in two pairs. `points`, shape (n, d), are in the unit cube, and `outcomes` has a label for each
-    point. Distances are Euclidean. `weights`, shape (d,), multiply the parameters, for example by their shares of the
-    variance of the score; by default all are 1. Each pair is given by two indices and the distance.
+    point. Distances are Euclidean. `weights`, shape (d,), multiply the coordinates of the points, for example by each
+    parameter's share of the variance of the score; by default all are 1. Each pair is given by two indices and the
+    distance.
     """
     scaled = points if weights is None else points * np.maximum(weights, _MIN_WEIGHT)
     labels = np.array(outcomes)

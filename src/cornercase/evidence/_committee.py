@@ -61,8 +61,9 @@ class CommitteeModel:
     less than the loss of all three together. The other two are then not trained until the next `fit`.
 
     `columns` describes the features. `has_prediction` says whether the last coordinate of points is the prediction of
-    another study (`SourceStudyModel`). Trees and the processes of features use it only if a forest clearly predicts the
-    known outcomes better with it; the process decides for itself. `process` is the third classifier.
+    another study (`SourceStudyModel`). Trees and the processes of features use this prediction only if a random forest
+    with the prediction is clearly better at the known outcomes than a forest without the prediction. The Gaussian
+    process of the scores has its own test (`fit_boundary_process`). `process` is this third classifier.
 
     Source: H. S. Seung, M. Opper, H. Sompolinsky, "Query by committee", COLT (1992); P. Geurts, D. Ernst, L. Wehenkel,
     "Extremely randomized trees", Machine Learning 63 (2006); D. H. Wolpert, "Stacked generalization", Neural Networks 5
@@ -134,7 +135,7 @@ class CommitteeModel:
     ) -> None:
         """Train the feature processes, and store the columns and classes from which the trees learn.
 
-        Only a subset of many scenarios is used. Kernels that are not given are learned.
+        If there are many scenarios, only a subset of them is used. Kernels that are not given are learned.
         """
         self._all_points, self._tree_scenarios = points, self._select_tree_scenarios(scores)
         points, scores = self._tree_coordinates(points)[self._tree_scenarios], scores[self._tree_scenarios]
@@ -164,7 +165,8 @@ class CommitteeModel:
     def _combine_members(self, points: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the weighted probability of being critical (m,), and the probability of each class (m, classes).
 
-        `t` (m,) is the predicted distance above the threshold, in standard deviations, by the process of the scores.
+        `t` (m,) is the distance from the threshold, in standard deviations, that the process of the scores predicts; it
+        is negative on the critical side.
         Without trees on features there are no classes.
         """
         points = self._tree_coordinates(points)
@@ -230,7 +232,7 @@ class CommitteeModel:
         return bool(gain.mean() > gain.std() / np.sqrt(len(gain)))
 
     def _tree_coordinates(self, points: FloatArray) -> FloatArray:
-        """Return the coordinates for trees and feature processes: without another study's prediction if dropped."""
+        """Drop the prediction of another study from the coordinates if it does not help trees and feature processes."""
         return points[:, :-1] if self._drops_prediction else points
 
     def _train_test_folds(self, critical: BoolArray) -> Iterator[tuple[IntArray, IntArray]]:
@@ -251,9 +253,9 @@ class CommitteeModel:
     ) -> tuple[ExtraTreesRegressor | None, RandomForestRegressor | None]:
         """Train trees that map predicted features to classes, and a forest that maps parameters to criticality.
 
-        A model without weight is None. The trees regress indicators of the classes, which is faster than
-        classification. Both give the same trees, since the split with the least Gini impurity also has the least
-        variance of the indicators.
+        A model whose weight in the committee is 0 is not trained, and None is returned for it. The trees regress
+        indicators of the classes, which is faster than classification. Both give the same trees, since the split with
+        the least Gini impurity also has the least variance of the indicators.
         """
         from sklearn.ensemble import ExtraTreesRegressor, RandomForestRegressor
 
@@ -288,8 +290,8 @@ class CommitteeModel:
     def _select_process_scenarios(self, scores: FloatArray) -> IntArray | None:
         """Return the indices of the scenarios that the feature processes use; None stands for all scenarios.
 
-        If there are many scenarios, half of the used ones are nearest to the threshold. The other half is evenly spaced
-        among the rest.
+        If there are many scenarios, one half of the selected scenarios are those nearest to the threshold. The other
+        half is evenly spaced among the rest.
         """
         if len(scores) <= self.max_process_scenarios:
             return None
@@ -309,7 +311,10 @@ class CommitteeModel:
         return features[:, self._inputs]
 
     def _class_labels(self, scores: FloatArray, features: FloatArray | None) -> IntArray:
-        """Return the class of each scenario: odd if critical; the higher bits are the signs of the branch features."""
+        """Return the number of each scenario's class: bit 0 is set if the scenario is critical.
+
+        Each further bit is set if a feature that tells branches apart is above 0.
+        """
         classes = self._criterion.is_critical(scores).astype(np.int64)
         if features is not None:
             for k, j in enumerate(self._branches):
@@ -318,7 +323,7 @@ class CommitteeModel:
 
 
 def _class_probabilities(trees: ExtraTreesRegressor, columns: FloatArray) -> FloatArray:
-    """Return the probabilities of the classes that trees predict from `columns` (m, k), (m, classes)."""
+    """Return the probability of each class (m, classes) that trees predict from `columns` (m, k)."""
     return np.asarray(trees.predict(columns)).reshape(len(columns), -1)
 
 

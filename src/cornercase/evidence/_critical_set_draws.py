@@ -24,12 +24,13 @@ _N_BINS: Final = 1024
 class CriticalSetDraws:
     """Draws of a critical set from the posterior, on n points that represent a space.
 
-    On some of the points, draws are joint. On all points, there are marginal probabilities. `weights` (n,) are the
-    fractions of the space that the points represent. `z` (n,) are the predictions, as distances to the threshold in
-    standard deviations. `known_outcome` (n,) is inf if a scenario was run and is critical, -inf if it was run and is
-    not critical, else 0. `joint_points` holds the indices (m,) of the points with joint draws, and the fraction of the
-    space that each represents. `draw_errors` returns standard normal numbers (m, `N_DRAWS`) for these points, with the
-    correlation of their scores.
+    A draw decides for m of the points jointly which of them are critical. For all n points, it gives the probability
+    that each is critical, without the dependence between points. `weights` (n,) are the fractions of the space that the
+    points represent. `z` (n,) are the predictions, as distances to the threshold in standard deviations.
+    `known_outcome` (n,) is inf if a scenario was run and is critical, -inf if it was run and is not critical, else 0.
+    `joint_points` holds the indices (m,) of the points with joint draws, and the fraction of the space that each
+    represents. `draw_errors` returns standard normal numbers (m, `N_DRAWS`) for these points, with the correlation of
+    their scores.
     """
 
     def __init__(
@@ -48,12 +49,12 @@ class CriticalSetDraws:
 
     @cached_property
     def order_by_calibration(self) -> IntArray:
-        """Indices of the draws in ascending order of their surprise rate, then of the other calibration parameters."""
+        """Indices of the draws, sorted by the rate of surprises, then by the offset and slope of the calibration."""
         return np.asarray(np.lexsort((self._b, self._a, self._rate)), dtype=np.int64)
 
     @cached_property
     def joint_draws(self) -> BoolArray:
-        """Mask of the points with joint draws that are critical in each draw, (m, draws)."""
+        """True where one of the m points with joint draws is critical in a draw, (m, draws)."""
         return np.asarray(self._draw_errors() <= self._critical_deviate_limits(self.joint_indices))
 
     @cached_property
@@ -63,7 +64,7 @@ class CriticalSetDraws:
 
     @cached_property
     def _probability_bins(self) -> tuple[IntArray, FloatArray]:
-        """Bin of each point by its prediction `z`, and the probability of being critical by bin and draw."""
+        """Bin of each point by its prediction `z`, (n,), and the probability of being critical, (bins, draws)."""
         undecided = np.flatnonzero(self._known_outcome == 0.0)
         undecided = undecided[np.argsort(self._z[undecided], kind="stable")]
         n_bins = min(_N_BINS, len(undecided))
@@ -77,7 +78,10 @@ class CriticalSetDraws:
         return bin_of, np.concatenate([probability, np.zeros((1, N_DRAWS)), np.ones((1, N_DRAWS))])
 
     def _critical_deviate_limits(self, indices: IntArray) -> FloatArray:
-        """Return the normal deviate up to which points are critical in each draw; infinite if the outcome is known."""
+        """Return limits (k, draws): a point is critical in a draw if its standard normal error is at most the limit.
+
+        The limit is inf if the scenario was run and is critical, and -inf if it was run and is not critical.
+        """
         limit = -(self._a + self._b * self._z[indices, None])
         surprising = self._rate > 0.0
         limit[:, surprising] = ndtri(
@@ -86,9 +90,9 @@ class CriticalSetDraws:
         return np.where(self._known_outcome[indices, None] == 0.0, limit, self._known_outcome[indices, None])
 
     def critical_fraction_within(self, weights: BoolArray | FloatArray) -> FloatArray:
-        """Return the sum of `weights` (n,) over the critical set, as a fraction of the space, for each draw, (draws,).
+        """Return the fraction of the space that is critical and selected by `weights`, for each draw, (draws,).
 
-        `weights` are a mask or numbers.
+        `weights` (n,) are a mask of the points, or factors by which each point counts.
         """
         bin_of, probability = self._probability_bins
         expected = np.bincount(bin_of, weights=self._weights * weights, minlength=len(probability)) @ probability
@@ -104,8 +108,8 @@ class CriticalSetDraws:
     def overlap_fraction(self, other: CriticalSetDraws, standardized_errors: FloatArray, order: IntArray) -> FloatArray:
         """Return the fraction of the space that is critical in a draw of this set and in a draw of `other`, (draws,).
 
-        `standardized_errors` (m, `N_DRAWS`) are drawn for the other set, at the points with joint draws of this set.
-        Draw i of this set is paired with draw `order[i]` of `other`.
+        `standardized_errors` (m, `N_DRAWS`) are errors of the predictions of `other`, drawn at the points at which this
+        set has joint draws. Draw i of this set is paired with draw `order[i]` of `other`.
         """
         limit = other._critical_deviate_limits(self.joint_indices)[:, order]
         # As in `critical_fraction_within`: some points give the spread, all points the mean.

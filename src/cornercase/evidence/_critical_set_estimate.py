@@ -72,21 +72,22 @@ class CriticalSet:
 
     A Gaussian process of the scores (`fit_boundary_process`) predicts each scenario of the initial design, and each
     audit (scenario drawn at random as a check), from all other scenarios. The quality of these predictions calibrates
-    the probability that a scenario is critical (`ProbitCalibration`). Critical sets are drawn with these probabilities,
-    with the correlation of the process between points, and with the calibration drawn from its posterior.
+    the probability that a scenario is critical (`ProbitCalibration`). Critical sets are drawn with these probabilities.
+    The correlation between points is that of the process. Each draw has its own calibration, from the posterior of the
+    calibration.
 
     A critical scenario counts as found if it was run, or if the mean of the process there is beyond the threshold.
-    Audits never affect what is found. With `features`, a `CommitteeModel` of three classifiers predicts instead of the
-    process, which is one of the three. A scenario then counts as found if the predicted probability is at least
-    `PREDICTED_CRITICAL`. The committee's predictions of the scenarios that the search chose calibrate the probability,
-    too. The process still provides the correlation.
+    Audits never affect what is found. With `features`, a `CommitteeModel` of three classifiers, including the
+    process, predicts instead of the process alone. A scenario then counts as found if the predicted probability is at
+    least `PREDICTED_CRITICAL`. The committee's predictions of the scenarios that the search chose calibrate the
+    probability, too. The process still provides the correlation.
 
     `points` (n, d) were run and have `scores` (n,); lower is more critical, NaN for a failed scenario. `initial_design`
     (n,) marks the scenarios chosen independently of scores, by default all. `audits` are random points and their
     scores, which the optimizer has not observed. `features` are the columns and their values (n, f). `source_model`
     adds the prediction of another study as a coordinate of the process. The coordinate is dropped if it misleads.
-    Outcomes of the other study are never used for the calibration. `sample` is the sample of the space with this seed,
-    if it is known. ValueError if there are fewer than 10 scores, or all are the same.
+    Outcomes of the other study are never used for the calibration. `sample` is ``SpaceSample.from_space(space, seed)``
+    if the caller already has it. ValueError if there are fewer than 10 scores, or all are the same.
 
     Leave-one-out prediction: C. E. Rasmussen, C. K. I. Williams, "Gaussian Processes for Machine Learning" (2006),
     equation 5.12.
@@ -196,8 +197,9 @@ class CriticalSet:
     def _collect_chosen_predictions(self) -> tuple[FloatArray, BoolArray] | None:
         """Return the committee's out-of-fold predictions for scenarios chosen by scores, and whether each was critical.
 
-        None without a committee: with the process's predictions of these scenarios, intervals held less often on the
-        half "choose" of benchmarks/intervals.py.
+        None without a committee: if the process's predictions of these scenarios were used for the calibration,
+        intervals contained the true value less often. This was measured on one half of the problems, the half "choose"
+        of benchmarks/intervals.py.
         """
         if self._committee is None:
             return None
@@ -280,7 +282,8 @@ class CriticalSet:
     def interval_unavailable(self) -> str | None:
         """Reason why `critical_fraction` and `missed_fraction` have no interval; None if they have one.
 
-        Scenarios that were chosen by their scores do not show how often predictions are wrong in the rest of the space.
+        An interval needs enough scenarios that were chosen independently of scores. The other scenarios do not show how
+        often predictions are wrong in the rest of the space.
         """
         count = int(self._is_initial_design.sum()) + len(self._audit_points)
         if count >= _MIN_SCENARIOS or self.is_exhausted:
@@ -337,7 +340,7 @@ class CriticalSet:
     def _not_found_and_critical_draws(self) -> tuple[FloatArray, FloatArray]:
         """Draws of two fractions of the space: critical but not found, and critical in total.
 
-        Draws without anything critical are left out, since something is critical.
+        Draws in which no point is critical are left out, since the fraction that was missed has no meaning there.
         """
         critical = self._samples.critical_fraction
         with single_threaded_blas():
@@ -369,8 +372,9 @@ class CriticalSet:
     def max_fraction_in_empty_region(self) -> float:
         """Fraction of the critical set that an unexplored region may hold, in addition to `missed_fraction`.
 
-        The region is a ball in which no scenario was run. Around 95 % of random points, the largest such ball is
-        smaller. The volume of the ball depends on where scenarios were run, not on predicted scores.
+        The region is a ball in which no scenario was run. Its volume is chosen so that, for 95 % of random centres, the
+        largest ball without such a scenario is smaller. The volume of the ball depends on where scenarios were run, not
+        on predicted scores.
         """
         ball = float(np.quantile(self._empty_ball_fractions, 1.0 - _ESCAPE_PROBABILITY))
         return ball / max(ball + self.critical_fraction.value, 1e-12)
@@ -387,12 +391,12 @@ class CriticalSet:
 
     @property
     def audited_missed_fraction(self) -> Estimate:
-        """Missed fraction of the critical set: share of the critical audits (random checks) not predicted critical."""
+        """Missed fraction of the critical set: share of critical audits (random checks) predicted to be uncritical."""
         return proportion_interval(*self._missed_audits_and_total)
 
     @property
     def audited_missed_upper_bound(self) -> float:
-        """Upper bound of `audited_missed_fraction` that holds even if the decision to stop depends on the bound."""
+        """Upper bound of `audited_missed_fraction` that holds even if audits are run until the bound is low enough."""
         return anytime_upper_bound(*self._missed_audits_and_total)
 
     def estimate_for_other_scores(self, points: FloatArray, scores: FloatArray, criterion: Criterion) -> CriticalSet:
@@ -499,7 +503,7 @@ class CriticalSet:
         return count / N_DRAWS
 
     def unexplored_fraction(self, size: float = MIN_REGION_FRACTION) -> float:
-        """Return the fraction of the space around which a ball of volume `size` contains no scenario that was run.
+        """Return the fraction of centres in the space for which a ball of volume `size` has no scenario that was run.
 
         This is the probability that a critical ball of this size at a random place was missed. It needs no assumption
         about the scores. `size` is a fraction of the space; parts of the ball outside the space do not count.
@@ -516,7 +520,7 @@ class CriticalSet:
         """Graph of neighbours: pairs of nodes, (2, E), and the number of critical regions.
 
         The nodes are sampled points, followed by critical regions. A region consists of neighbouring critical scenarios
-        that were run. These are connected in every draw, so each region is a single node.
+        that were run. These scenarios are critical in every draw, so each region can be a single node.
         """
         sample = self._sample.encoded_points[self._joint_points[0]]
         count = len(sample)
@@ -551,7 +555,7 @@ def _label_components(edges: IntArray, count: int) -> IntArray:
 
 
 def _normal_deviate(probability: FloatArray) -> FloatArray:
-    """Convert the probability that a scenario is critical to a normal deviate; above 0.5 it is negative."""
+    """Convert the probability that a scenario is critical to a normal deviate, negative for a probability above 0.5."""
     return np.asarray(-ndtri(np.clip(probability, _MIN_PROBABILITY, 1.0 - _MIN_PROBABILITY)))
 
 

@@ -29,15 +29,15 @@ class PerBranchFeatureModels:
     """Gaussian processes that predict features, from all scenarios and additionally from the scenarios of each branch.
 
     Many features are discontinuous between branches (ego first, other first, contact) but smooth within a branch. A
-    process of all scenarios bends to follow the jump. A process of a single branch predicts the features if the
-    scenario takes this branch. The classifier learns which columns matter. Branches with fewer than 8 scenarios have no
-    process of their own.
+    process of all scenarios smooths the jump. A process of a single branch predicts the features that a scenario would
+    have if it took this branch. A classifier (`CommitteeModel`) gets the predictions of all these processes, and learns
+    which of them matter. Branches with fewer than 8 scenarios have no process of their own.
 
     `branches` (n,) is the branch of each scenario. `kernels` maps each branch, and None for all scenarios, to the
     kernels of `FeatureModels`; missing kernels are learned from at most `max_kernel_scenarios`. `subset` holds the
     indices of scenarios that the processes use, by default all. A branch with fewer than 8 scenarios in `subset` uses
     all scenarios of the branch. `leave_one_out` (n, g) holds leave-one-out predictions: first from all scenarios, then
-    from each branch. For scenarios outside of a branch, it holds the ordinary prediction of the branch.
+    from each branch. For scenarios outside of a branch, the column of this branch holds the ordinary prediction.
     """
 
     def __init__(
@@ -72,7 +72,7 @@ class PerBranchFeatureModels:
         self.leave_one_out = np.hstack(left_out)
 
     def predict_features(self, points: FloatArray) -> FloatArray:
-        """Predict the standardized features at points (m, e), without constant features, (m, g)."""
+        """Predict the standardized features (m, g) at points (m, e); constant features are left out."""
         return np.hstack([part.predict_features(points) for part in self._models])
 
 
@@ -126,7 +126,7 @@ class FeatureModels:
         self.leave_one_out[used] = leave_one_out
 
     def predict_features(self, points: FloatArray) -> FloatArray:
-        """Predict the standardized features at points (m, e), without constant features, (m, g)."""
+        """Predict the standardized features (m, g) at points (m, e); constant features are left out."""
         predicted = np.empty((len(points), len(self._kernels_and_weights)))
         step = max(_CACHED_COVARIANCES // max(len(self._points), 1), 1)
         with single_threaded_blas():

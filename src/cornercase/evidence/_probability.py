@@ -133,8 +133,9 @@ def probability_from_weights(weights: FloatArray, met: BoolArray, common_error: 
 def probability_from_enumeration(probabilities: FloatArray, met: BoolArray, total: float | None = None) -> Probability:
     """Compute the probability of an event from all scenarios of a finite space, or bounds from a part of them.
 
-    `probabilities` (n,) belong to the scenarios that were run. `total` is the sum over all scenarios of the space; None
-    if all were run. The bounds hold whatever the outcomes of the other scenarios are; the value is in the middle.
+    `probabilities` (n,) belong to the scenarios that were run. `total` is the sum of the probabilities of all scenarios
+    of the space; None if all were run. The bounds hold whatever the outcomes of the other scenarios are. The value is
+    the middle between the bounds.
     """
     normalization = float(probabilities.sum()) if total is None else total
     weights = probabilities / normalization

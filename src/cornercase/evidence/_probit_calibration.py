@@ -39,9 +39,9 @@ class ProbitCalibration:
     the fourth root.
 
     `chosen` holds predictions and outcomes of scenarios that a search chose by scores. They inform a and b, but do not
-    show how rare surprises are, since a search looks for critical scenarios where predictions point to them. So
-    surprises among the chosen scenarios have a rate of their own, with the same prior, over which their likelihood is
-    averaged.
+    show how rare surprises are, since a search looks for critical scenarios where predictions point to them. So the
+    chosen scenarios have a rate of surprises of their own, with the same prior. The likelihood of their
+    outcomes is averaged over this rate.
 
     Source: J. Platt, "Probabilistic outputs for support vector machines" (1999), here with the normal distribution
     function and the full posterior on a grid. The rate is the lapse rate of psychometric functions: F. A. Wichmann, N.
@@ -77,7 +77,7 @@ class ProbitCalibration:
         return self._a[index], self._b[index], self._rate[index]
 
     def probability_of_critical(self, t: FloatArray) -> FloatArray:
-        """Return the probability that scenarios with predictions `t` (n,) are critical, at the posterior mean."""
+        """Return the probability that scenarios with predictions `t` (n,) are critical, for the means of a, b and r."""
         a, b, rate = (float(self._posterior @ values) for values in (self._a, self._b, self._rate))
         return np.asarray(rate + (1.0 - rate) * ndtr(-(a + b * t)))
 

@@ -25,7 +25,7 @@ def proportion_interval(hits: int, draws: int) -> Estimate:
 
 
 def anytime_upper_bound(hits: int, draws: int, error_probability: float = 0.05) -> float:
-    """Return an upper bound of a proportion that holds even if the decision to stop depends on the bound.
+    """Return an upper bound of a proportion that holds even if draws are continued until the bound is low enough.
 
     The probability that the true proportion ever exceeds the bound is at most `error_probability`. The bound compares
     the likelihood of a proportion with the likelihood of a Beta(1/2, 1/2) mixture. The ratio exceeds 1 /

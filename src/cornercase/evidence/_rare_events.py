@@ -45,10 +45,10 @@ class ImportanceSampling:
     normal distribution. Then, round by round, a mixture of t distributions is fitted to the weighted scenarios nearest
     to the event. The next round is drawn from the mixture and from wide normal distributions. With 8 dimensions or
     more, it is also drawn around the point where a linear model of the scores meets the event. When events have
-    occurred often enough, the proposal is frozen. The frozen proposal includes parts of all earlier mixtures, of the
-    other distributions of a round and of the distribution of the parameters. Later scenarios are independent, so the
-    mean of the weights of the events is an unbiased estimate of their probability, whatever was learned before. The
-    draws depend only on the arguments and the recorded results.
+    occurred often enough, the proposal is frozen. The frozen proposal combines all earlier mixtures, the other
+    distributions of a round, and the distribution of the parameters. Later scenarios are independent, so the mean of
+    the weights of the events is an unbiased estimate of their probability, whatever was learned before. The draws
+    depend only on the arguments and the recorded results.
 
     Scores that take no more than two values give no direction towards an event. If the first round has such scores, and
     there is no first guess, all scenarios follow the distribution of the parameters (plain Monte Carlo).
@@ -114,8 +114,8 @@ class ImportanceSampling:
     def record_round(self, points: FloatArray, scores: FloatArray, occurred: BoolArray) -> None:
         """Record the results of a round; while the proposal is not frozen, learn from them.
 
-        `scores` (n,) are lower nearer to the events, and NaN for a failed scenario. `occurred` (n, events) says which
-        events occurred.
+        A lower score is nearer to the events; `scores` (n,) are NaN for a failed scenario. `occurred` (n, events) says
+        which events occurred.
         """
         if self._rounds == 0 and not self._earlier:
             self._is_plain = len(np.unique(scores[np.isfinite(scores)])) <= _MAX_VALUES_WITHOUT_DIRECTION
@@ -206,16 +206,16 @@ class ImportanceSampling:
         self._earlier.append(new)
 
     def _fit_linear_model(self, event: int) -> list[TMixture]:
-        """Fit a normal distribution around the likeliest point of an event by a linear model of the scores.
+        """Fit a normal distribution around the point at which, by a linear model of the scores, an event is likeliest.
 
-        The list has at most one distribution. It is empty with fewer than 8 dimensions, because the mixture is learned
-        soon enough, and with too few scenarios.
+        The list has at most one distribution. With fewer than 8 dimensions the list is empty, because the mixture is
+        learned soon enough without this distribution. With too few scenarios for the model the list is empty, too.
 
-        While the event has not occurred, the point is where the model reaches the lowest score. The direction of the
-        point comes from least squares over the half of the scenarios with the lowest scores. The distance comes from
-        the scenarios with scores nearest to the event. This is the design point of the first-order reliability method:
-        A. M. Hasofer, N. C. Lind, "Exact and invariant second-moment code format", Journal of the Engineering Mechanics
-        Division 100 (1974).
+        While the event has not occurred, the point is where the model reaches the lowest score so far. The direction of
+        the point comes from least squares over the half of the scenarios with the lowest scores. The distance comes
+        from the scenarios with scores nearest to the event. This is the design point of the first-order reliability
+        method: A. M. Hasofer, N. C. Lind, "Exact and invariant second-moment code format", Journal of the Engineering
+        Mechanics Division 100 (1974).
         """
         finite, dimension = np.isfinite(self._scores), self._space.dimension
         points, scores, met = self._points[finite], self._scores[finite], self._met[finite, event]
@@ -233,7 +233,7 @@ class ImportanceSampling:
         return [TMixture(np.ones(1), center[None], np.eye(dimension)[None], np.array([np.inf]))]
 
     def _select_nearest_to_event(self, event: int, weights: FloatArray) -> tuple[BoolArray, bool]:
-        """Return a mask of the scenarios nearest to an event, for the fit, and whether it occurred often enough."""
+        """Return a mask of the scenarios nearest to an event, and whether the event occurred often enough for a fit."""
         met = self._met[:, event]
         # The worst score gives no direction towards the event; failures rank last.
         finite = np.isfinite(self._scores)
@@ -253,7 +253,7 @@ class ImportanceSampling:
 def fit_initial_proposal(
     space: ParameterSpace, points: FloatArray, scores: FloatArray, criterion: Criterion, seed: int
 ) -> TMixture | None:
-    """Fit a proposal for critical scenarios to a Gaussian process of known scores; None if too little is known.
+    """Fit a proposal for critical scenarios, by a Gaussian process of known scores; None if there are too few scores.
 
     The proposal is a distribution in the space in which the parameters are standard normal. `scores` are lower if more
     critical, and NaN for a failed scenario.

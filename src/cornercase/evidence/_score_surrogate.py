@@ -37,7 +37,7 @@ class ScoreSurrogate:
     def condense(self, max_points: int) -> ScoreSurrogate:
         """Return a surrogate with the same kernel and scenarios, whose predictions need at most `max_points` points.
 
-        `predicted` is that of the new surrogate.
+        `predicted` is computed anew, since the new surrogate may predict worse.
         """
         process = self.process.condense(self.points, self.values, max_points)
         predicted = _predicted_fraction(process, self.values)

@@ -46,7 +46,7 @@ class Sensitivity:
         90 % credible intervals of these indices, from draws of the process.
     predicted : float
         Fraction of the variance of the scores that the process predicts by leave-one-out, from at most 4,096 scenarios.
-        The indices are as reliable as this fraction is near 1.
+        The nearer this fraction is to 1, the more reliable the indices are.
     total_by_trees : tuple of float
         Total index by extremely randomised trees of the scores, which follow jumps. If the score jumps along a
         parameter, a smooth process can miss the influence of this parameter.
@@ -108,9 +108,10 @@ class Sensitivity:
 
     @property
     def uninfluential_parameters(self) -> tuple[str, ...]:
-        """Parameters with little influence: total index below 0.05, both by trees and at the interval's upper bound.
+        """Parameters with little influence: their total index is below 0.05 by two estimates.
 
-        Empty if hardly any variance is predicted.
+        The two are `total_by_trees` and the upper bound of `total_interval`. Empty if the process predicts too
+        little of the variance (`is_meaningful` is False).
         """
         both = zip(self.names, self.total_interval, self.total_by_trees, strict=True)
         is_little = (name for name, (_, high), by_trees in both if max(high, by_trees) < LITTLE_INFLUENCE)
@@ -121,8 +122,8 @@ def estimate_sensitivity(space: ParameterSpace, points: FloatArray, scores: Floa
     """Estimate Sobol' indices of a score from a Gaussian process, with intervals from draws of the process.
 
     The indices belong to the mean of the process. Parameters vary independently over their ranges, regardless of
-    constraints. `points` (n, d) are in the unit cube. `scores` (n,) may be lower or higher if more critical, and are
-    NaN for a failed scenario. ValueError if there are fewer than 10 scores, or all are equal.
+    constraints. `points` (n, d) are in the unit cube. Whether low or high `scores` (n,) are critical does not matter;
+    NaN stands for a failed scenario. ValueError if there are fewer than 10 scores, or all are equal.
 
     Source: I. M. Sobol', "Global sensitivity indices for nonlinear mathematical models and their Monte Carlo
     estimates", Mathematics and Computers in Simulation 55 (2001); A. Saltelli et al., "Variance based sensitivity
@@ -172,7 +173,7 @@ def _sobol_indices(
 
 
 def _fit_trees(surrogate: ScoreSurrogate, seed: int) -> ExtraTreesRegressor:
-    """Fit extremely randomised trees to the scores of a surrogate, or to 1,000 of very many scores.
+    """Fit extremely randomised trees to the scores of a surrogate; to 1,000 of the scores if there are more.
 
     Source: P. Geurts, D. Ernst, L. Wehenkel, "Extremely randomized trees", Machine Learning 63 (2006).
     """

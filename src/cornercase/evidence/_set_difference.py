@@ -28,7 +28,7 @@ class CriticalSetDifference:
         parameter's unit. None for a parameter with choices.
     p : float
         Two-sided tail probability of no change. This is twice the share of the draws in which the critical fraction
-        does not grow, or does not shrink, whichever share is smaller. At least 1 / draws.
+        does not grow, or does not shrink, whichever share is smaller. At least one over the number of draws.
 
     Examples
     --------
@@ -61,11 +61,11 @@ class CriticalSetDifference:
 
         Notes
         -----
-        The rate of surprises (critical scenarios to which no prediction points) depends on the scenario more than on
-        the version. So the change comes from pairs of draws whose calibrations have nearly the same rank. Apart from
-        the pairing, both sets are drawn independently. If neither set is known well, the draws differ even if the sets
-        are equal. So the draws bound `gained` and `lost` only from above, and the change of the critical fraction
-        bounds them from below.
+        The rate of surprises (critical scenarios to which no prediction points) depends more on the logical scenario
+        than on the version of the tested driving function. So the change comes from pairs of draws whose calibrations
+        have nearly the same rank. Apart from the pairing, both sets are drawn independently. If neither set is known
+        well, the draws differ even if the sets are equal. So the draws bound `gained` and `lost` only from above, and
+        the change of the critical fraction bounds them from below.
         """
         old_draws, new_draws, both_draws = old.draw_overlap_with(new)
         changes = old.draw_changes_to(new)
@@ -100,7 +100,10 @@ def _differences_of_draws(before: FloatArray, after: FloatArray) -> FloatArray:
 
 
 def _tail_probability(changes: FloatArray, n_draws: int) -> float:
-    """Return the two-sided tail probability of no change; `changes` holds pairs of `n_draws` draws of each set."""
+    """Return the two-sided tail probability of no change.
+
+    `changes` holds the differences of pairs of draws; each of the two sets has `n_draws` draws.
+    """
     tail = min(float((changes <= 0.0).mean()), float((changes >= 0.0).mean()))
     return min(2.0 * max(tail, 0.5 / n_draws), 1.0)
 

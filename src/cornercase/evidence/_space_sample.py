@@ -60,7 +60,9 @@ class SpaceSample:
         return cls(points, encode_points(space, points), weights, complete)
 
     def subset(self, relevance: FloatArray, count: int) -> tuple[IntArray, FloatArray]:
-        """Choose at most about `count` points; points with a higher `relevance` (n,), above 0, are more probable.
+        """Choose about `count` points, or all if there are fewer.
+
+        Points with a higher `relevance` (n,), above 0, are more probable.
 
         Returns the indices (m,) and the fraction of the space that each point represents. Sums over the chosen points,
         weighted by these fractions, estimate sums over all points.
@@ -74,7 +76,7 @@ class SpaceSample:
         return indices, self.weights[indices] / probability[indices]
 
     def empty_ball_fractions(self, run: FloatArray) -> FloatArray:
-        """Return the volume of the largest ball around each of k random points without a point of `run` (m, e), (k,).
+        """Return, for k random centres, the volume (k,) of the largest ball that contains no point of `run` (m, e).
 
         Volumes are fractions of the space; parts of a ball outside the space do not count.
         """

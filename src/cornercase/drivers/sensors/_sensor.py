@@ -56,7 +56,7 @@ class Sensor(Configurable, ABC):
     random_options : frozenset of str
         Options that make the sensor random if they are above 0.
     false_objects : int
-        Number F of false objects that it may see at the same time.
+        Number F of false objects that the sensor may report at the same time.
 
     Examples
     --------
@@ -91,16 +91,17 @@ class Sensor(Configurable, ABC):
         start : Start
             Description of the batch.
         label : str
-            Name of this sensor among the sensors of the entity, such as ``"radar 2"``; begin the `purpose` in
-            `Start.generator` with this label.
+            Name of this sensor among the sensors of the entity, such as ``"radar 2"``. If the sensor calls
+            `Start.generator`, let the argument `purpose` begin with this label.
         """
 
     @abstractmethod
     def perceive(self, situation: Situation) -> SensedObjects:
         """Return the objects that the sensor knows.
 
-        In each time step, the method is called once per path of the ego, with the mask ``active`` of the scenarios on
-        this path. The state of all other scenarios must not change.
+        The scenarios of a batch may differ in the path along which the ego drives. In each time step, the method is
+        called once for each path, and ``situation.active`` marks the scenarios with this path. The state of all other
+        scenarios must not change.
 
         Parameters
         ----------

@@ -53,7 +53,7 @@ _LIMITS: Final[dict[str, dict[str, float]]] = {
 class ActuatedVehicle(VehicleModel):
     """Base class of vehicle models with actuators, which follow requests with delay, lag and limits.
 
-    `parameter_names` are the options that only the derived model has.
+    `parameter_names` are the options of a derived class that no other model has.
     """
 
     parameter_names: ClassVar[tuple[str, ...]] = ()
@@ -99,11 +99,11 @@ class ActuatedVehicle(VehicleModel):
 
     @property
     def tables(self) -> Vehicles:
-        """Parameters and state of a started vehicle, for kernels."""
+        """Parameters and state of a started vehicle, for compiled functions."""
         return self._vehicles
 
     def use_tables(self, tables: Vehicles) -> None:
-        """Use other arrays for parameters and state, which this model shares with kernels.
+        """Use these arrays for parameters and state from now on; compiled functions use the same arrays.
 
         Parameters
         ----------
@@ -116,7 +116,7 @@ class ActuatedVehicle(VehicleModel):
 class Actuators(ActuatedVehicle):
     """Vehicle model that stays on its path, with actuators for its speed.
 
-    Curves use none of the friction. See ``docs/vehicles.md``.
+    In curves, too, the tyres can use all friction for braking and accelerating. See ``docs/vehicles.md``.
 
     Parameters
     ----------
@@ -156,7 +156,7 @@ class Actuators(ActuatedVehicle):
         time_step: float,
         active: BoolArray,
     ) -> PlanarMotion:
-        """Return the motion at the end of a time step; the pose does not change."""
+        """Return the motion at the end of a time step: speed and acceleration are new, the pose is not."""
         speed, reached = np.array(motion.speed), np.array(motion.acceleration)
         inputs = np.ascontiguousarray(acceleration), np.ascontiguousarray(friction)
         change_speeds(self._vehicles, speed, reached, *inputs, time_step, np.ascontiguousarray(active))

@@ -15,10 +15,11 @@ _MAX_DECELERATION: Final = 8.0
 
 
 def pedals_to_acceleration(throttle: FloatArray, brake: FloatArray, body: Body) -> FloatArray:
-    """Return the acceleration in m/s² that pedals from 0 to 1 ask for, (N,); a pedal that is NaN is not pressed.
+    """Return the accelerations (N,) in m/s² that pedals ask for; NaN where both pedals are NaN.
 
-    Full throttle gives the vehicle's highest acceleration (3 m/s² without a limit), full brake its highest deceleration
-    (8 m/s² without a limit); values in between are linear. The result is NaN in scenarios without any pedal.
+    Pedals are from 0 to 1; NaN counts as 0 if the other pedal has a value. The acceleration is linear in each pedal.
+    Full throttle gives the highest acceleration in the scenario file, and full brake the highest deceleration there. If
+    the file has no such limit, they give 3 m/s² and 8 m/s².
     """
     highest = body.max_acceleration if np.isfinite(body.max_acceleration) else _MAX_ACCELERATION
     lowest = -(body.max_deceleration if np.isfinite(body.max_deceleration) else _MAX_DECELERATION)

@@ -50,7 +50,8 @@ class VehicleModel(Configurable, ABC):
     name : str
         Name in the registry.
     steers : bool
-        True if the model moves the pose. If not, only its speed counts, and the vehicle stays on its path.
+        True if the model computes position and heading. If False, only the speed that it computes is used, and the
+        vehicle stays on its path.
 
     Examples
     --------
@@ -87,11 +88,12 @@ class VehicleModel(Configurable, ABC):
 
     @property
     def wheelbase(self) -> FloatArray | None:
-        """Distance between the axles in m, with which a path controller steers; None for that in the scenario file.
+        """Distance between the axles in m, from which a path controller computes the angle of the wheels.
 
         Returns
         -------
         ndarray of float64, shape (N,), or None
+            None stands for the distance in the scenario file.
         """
         return None
 

@@ -71,8 +71,9 @@ def squash_scale(scores: FloatArray) -> float:
     """Return the distance from the threshold beyond which scores are squashed: 0.5 to 1 standard deviation.
 
     Scores far from the threshold say little about the boundary of the critical set. A process that need not follow
-    these scores fits the boundary better. But scores far from the threshold lead to regions that were not explored yet.
-    So the scale is one standard deviation with up to 100 scores, and decreases with more scores.
+    these scores fits the boundary better. But scores far from the threshold show in which direction unexplored regions
+    may be critical, above all while few scores are known. So the scale is one standard deviation with up to 100 scores,
+    and decreases with more scores.
     """
     return float(np.clip(_FULL_SCALE_COUNT / len(scores), 0.5, 1.0) * np.std(scores))
 
@@ -81,9 +82,10 @@ def squash_around_threshold(scores: FloatArray, criterion: Criterion, scale: flo
     """Shift the threshold to 0, and compress scores far from it by a hyperbolic tangent with a given scale.
 
     Several scores that equal the threshold lie on a plateau of the score, as scores of collisions do. How deep inside
-    the critical set these scenarios lie is unknown. So they count as one scale beyond the threshold, or as half the
-    median distance of lower scores if that is less. If they counted as exactly at the threshold, a process would
-    predict that neighbouring scenarios are not critical.
+    the critical set these scenarios lie is unknown. If they counted as exactly at the threshold, a process would
+    predict that neighbouring scenarios are not critical. So they count as one scale beyond the threshold. If half the
+    median distance of lower scores from the threshold is less, this counts instead, so that scenarios on the plateau
+    stay less critical than most scenarios with lower scores.
     """
     margins = criterion.margins(scores)
     on_plateau = margins == 0.0
@@ -102,13 +104,15 @@ def fit_boundary_process(
     If scores jump, a process with much noise smooths the boundary away. If scores are noisy, a process with little
     noise follows the noise. So several processes are fitted, with different bounds of the noise. The selected process
     is the one that best predicts, by leave-one-out likelihood, on which side of the threshold scores are. At most 512
-    scenarios are left out. Each is predicted from the others among these, or from the nearest of all scenarios if there
-    are more than 4,000. Scores far from the threshold help to predict smooth functions, so a scale of two standard
-    deviations is tried in addition to `squash_scale`. The most critical tenth of the scores is never squashed.
+    scenarios are left out, one at a time. Each is predicted from the other ones of these 512; if there are more than
+    4,000 scenarios, from the nearest of all scenarios. Scores far from the threshold help to predict smooth functions,
+    so a scale of two standard deviations is tried in addition to `squash_scale`. If less than a tenth of the scores is
+    critical, the scale is at least the distance from the threshold to the most critical tenth. With a smaller
+    scale, all scores would be squashed to nearly the same value.
 
     The prediction of another study is used if it makes the left-out scores 100 times as likely in total, and twice as
-    likely each (geometric mean). With enough scores, a weakly related study can meet the first condition although it
-    moves the boundary away; the second condition excludes this study.
+    likely each (geometric mean). With enough scores, even a weakly related study meets the first condition, although
+    its prediction makes the estimated boundary worse. The second condition excludes such a study.
 
     `points` (n, e) are encoded, `scores` (n,) are not all the same. `has_prediction` says whether the last coordinate
     is the prediction of a `SourceStudyModel`.
@@ -229,9 +233,9 @@ class GaussianProcess:
     ) -> GaussianProcess:
         """Condition the process on new values instead of the previous ones.
 
-        Up to 512 values are exact; for more values, there are 512 inducing points. With more than 4,000 values,
-        predictions and leave-one-out use the nearest values. `relevance` (n,), above 0, says how much it matters to
-        know the process at a point.
+        The posterior of up to 512 values is exact. The posterior of more values is approximated by 512 inducing points.
+        With more than 4,000 values, predictions and leave-one-out use the nearest values. `relevance` (n,), above 0,
+        says how much it matters to know the process at a point.
         """
         with single_threaded_blas():
             self._set_posterior(make_posterior(self.kernel, points, values - self._mean, relevance))
@@ -251,7 +255,7 @@ class GaussianProcess:
         return other
 
     def condense(self, points: FloatArray, values: FloatArray, max_points: int) -> GaussianProcess:
-        """Return a copy of this process whose predictions need at most `max_points` points for any number of values."""
+        """Return a copy of this process that predicts from at most `max_points` points, for any number of values."""
         other = copy(self)
         with single_threaded_blas():
             other._set_posterior(

@@ -51,7 +51,7 @@ _ROUNDING: Final = 1e-9
 
 
 class Vehicles(NamedTuple):
-    """Parameters and state of a vehicle model in N scenarios, for kernels; rows of further vehicles follow."""
+    """Parameters and state of vehicles of one model, for compiled functions; one row per vehicle and scenario."""
 
     parameters: FloatArray  # (N, P): columns as above, in m, s and rad
     state: FloatArray  # (N, 9): columns as above
@@ -105,7 +105,7 @@ def longitudinal_grip(vehicles, n, grip, lateral, time_step):
 def advance_actuator(vehicles, n, which, limit, begin, duration, time_step):
     """Advance an actuator from `begin` s after the start of the step by `duration` s; return the integral of its value.
 
-    `which` is `ACCELERATION` or `STEERING`; the value stays within `limit` of 0.
+    `which` is `ACCELERATION` or `STEERING`. The value stays between ``-limit`` and `limit`.
     """
     parameters, state, requests = vehicles.parameters[n], vehicles.state[n], vehicles.requests[n]
     first = DELAY if which == ACCELERATION else STEERING_DELAY
@@ -134,7 +134,10 @@ def _find_request(state, size, steps):
 
 @plain_kernel
 def _approach_request(value, request, lag, max_rate, limit, duration):
-    """Return the value of an actuator after a duration, and its integral: a ramp, an exponential, then a constant."""
+    """Return the value of an actuator after a duration, and the integral of the value over the duration.
+
+    The value first changes at `max_rate`, then approaches the request exponentially, and at last stays constant.
+    """
     value, target = min(max(value, -limit), limit), min(max(request, -limit), limit)
     left, integral = duration, 0.0
     if value != target and max_rate < math.inf:
@@ -157,7 +160,7 @@ def _approach_request(value, request, lag, max_rate, limit, duration):
 
 @plain_kernel
 def speed_after(speed, gain, max_speed):
-    """Return the speed after a step, and the share of the step for which the vehicle moves, 1 if it does not stop."""
+    """Return the speed after a step, and the share of the step in which the vehicle moves: below 1 if it stops."""
     if speed + gain < 0.0:
         # A vehicle that the scenario has sent backwards stops at once.
         return 0.0, speed / -gain if speed > 0.0 else 0.0

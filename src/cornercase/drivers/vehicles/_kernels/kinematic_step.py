@@ -41,7 +41,10 @@ _MAX_SHARE: Final = 0.5
 
 @plain_kernel
 def move_kinematic_vehicle(vehicles, n, motion, acceleration, steering, friction, time_step):
-    """Move a vehicle without tyre slip by one time step, and return its speed; `motion` (5,) is changed in place."""
+    """Move a vehicle without tyre slip by one time step, and return its speed.
+
+    `motion` (x, y, heading, speed, acceleration) is changed in place.
+    """
     begin_step(vehicles, n, motion[SPEED], motion[LAST_ACCELERATION], acceleration, steering)
     grip = vehicles.parameters[n, MU] * friction * GRAVITY
     # A circle without slip needs no parts.
@@ -56,7 +59,10 @@ def move_kinematic_vehicle(vehicles, n, motion, acceleration, steering, friction
 
 @plain_kernel
 def _is_exact_circle(parameters, speed, steering, grip):
-    """Return whether a vehicle goes along a circle: no delays or rate limits, and far from the limit of its tyres."""
+    """Return whether a vehicle moves exactly along a circle in this step.
+
+    This holds without delays and rate limits, if the tyres are far from their friction limit.
+    """
     is_late = max(parameters[DELAY], parameters[LAG], parameters[STEERING_DELAY], parameters[STEERING_LAG]) > 0.0
     is_slow = min(parameters[MAX_JERK], parameters[MAX_STEERING_RATE]) < math.inf
     lateral = speed * speed * math.tan(min(abs(steering), parameters[MAX_STEERING])) / parameters[WHEELBASE]

@@ -55,7 +55,10 @@ _ROUNDING: Final = 1e-9
 
 @plain_kernel
 def move_single_track_vehicle(vehicles, n, motion, acceleration, steering, friction, time_step):
-    """Move a vehicle whose tyres slip by one time step, and return its speed; `motion` (5,) is changed in place."""
+    """Move a vehicle whose tyres slip by one time step, and return its speed.
+
+    `motion` (x, y, heading, speed, acceleration) is changed in place.
+    """
     parameters, state, begin = vehicles.parameters[n], vehicles.state[n], 0.0
     begin_step(vehicles, n, motion[SPEED], motion[LAST_ACCELERATION], acceleration, steering)
     grip = parameters[MU] * friction * GRAVITY
@@ -135,9 +138,10 @@ def _move_with_slip(vehicles, n, motion, grip, begin, duration, time_step):
 
 @plain_kernel
 def _axle_force_limits(parameters, grip, acceleration):
-    """Return lateral stiffness and highest lateral force of both axles per mass, and the mass per inertia.
+    """Return the lateral stiffness and the highest lateral force of each axle, and the mass over the inertia.
 
-    In this order: stiffness of front and rear axle in m/s² per rad, highest force of both in m/s², and 1/m².
+    The five numbers are the stiffness of the front and of the rear axle, over the mass of the vehicle, in m/s² per rad,
+    the highest force of the front and of the rear axle, over the mass, in m/s², and the last ratio in 1/m².
     """
     front, rear = parameters[FRONT_AXLE], parameters[REAR_AXLE]
     # Loads of the axles as shares of the weight; an axle that lifts off has no force.

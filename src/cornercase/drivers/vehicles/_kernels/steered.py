@@ -30,9 +30,10 @@ MOVED: Final = 0.1
 
 @kernel(error_model="numpy", _nrt=False, forceinline=True)
 def move_steered_vehicle(kind, kernels, vehicles, row, motion, request, steering, friction, time_step):
-    """Move a vehicle that steers by one time step, and return its speed; `motion` (5,) is changed in place.
+    """Move a vehicle that steers by one time step, and return its speed.
 
-    `kernels` are the addresses of `VEHICLE_KERNELS`. `request` is an acceleration in m/s², `steering` an angle in rad.
+    `motion` (x, y, heading, speed, acceleration) is changed in place. `kernels` holds the addresses of the compiled
+    functions `VEHICLE_KERNELS`. `request` is an acceleration in m/s², `steering` an angle in rad.
     """
     state = vehicles.state[row]
     if abs(motion[X] - state[LEFT_X]) + abs(motion[Y] - state[LEFT_Y]) > MOVED:
@@ -52,7 +53,10 @@ def move_steered_vehicle(kind, kernels, vehicles, row, motion, request, steering
     error_model="numpy",
 )
 def step_vehicles(kind, kernels, vehicles, motion, acceleration, steering, friction, time_step, active):
-    """Move the active vehicles, all of one kind, by one time step; `motion` (N, 5) is changed in place."""
+    """Move the active vehicles by one time step; all vehicles have the same `kind` of model.
+
+    `motion` (N, 5), the columns x, y, heading, speed and acceleration, is changed in place.
+    """
     _step_all(kind, kernels, reference_to(vehicles), motion, acceleration, steering, friction, time_step, active)
 
 
