@@ -109,21 +109,21 @@ class Suite:
     ) -> SuiteResult:
         """Run the scenarios, judge the runs by requirements, and compare the recordings with earlier recordings.
 
-        Each scenario is stored as soon as it has ended. The same call again resumes an interrupted run. A call with
-        other requirements judges the stored runs.
+        Each run is stored as soon as it has ended. The same call again continues after an interruption. A call with
+        other requirements judges the stored runs and runs nothing again.
 
         Parameters
         ----------
         study : path, optional
-            Study to create or continue; by default ``FOLDER.run.db`` beside the folder of the suite. Each driver or
-            simulator needs a study of its own.
+            Study to create or continue; by default ``FOLDER.run.db`` beside the folder of the suite. Name another study
+            for each other driver or simulator.
         require : sequence of str, Expression or Requirement
             Requirements on each scenario, as `cornercase.suite.Requirement.parse` reads them.
         requirements : path, optional
             TOML or YAML file with further requirements.
         require_from_file : bool, default False
-            Also use the criteria that the files contain for CARLA's ScenarioRunner as requirements. A notice names
-            criteria that a recording cannot decide.
+            Also require what the scenario files require of a run in CARLA's ScenarioRunner. A notice names each such
+            criterion that cannot be decided from a recording.
         metrics : Metric or str, or sequence of these
             Criticality metrics to store; give a metric of your own as an object. By default the metrics of the
             manifest; without a manifest the metrics in the requirements, or else ``clearance``.
@@ -136,7 +136,7 @@ class Suite:
             Where scenarios are run, and what happens if a simulator dies or hangs. Each scenario is run once.
         against : path, optional
             Study with earlier recordings: the study that was reduced, or an earlier run of the suite. By default the
-            study that was reduced, if it is beside the manifest or in the folder above.
+            study that was reduced, if its file is in the folder of the manifest or in the parent folder.
         mutants : int, optional
             Number of mutants (faulty variants) of the ego's driver that the scenarios are also run with. The result
             says how many mutants violate a requirement: see `cornercase.suite.run_suite`.
@@ -189,9 +189,9 @@ class Suite:
         Returns
         -------
         DataFrame
-            One row per scenario, indexed by its id in the study of a run, from 1: ``file``, ``kind`` (the cluster that
-            it represents), ``role``, ``why`` (the reason for its selection), and ``error`` (why it cannot be run).
-            Unknown values are empty.
+            One row per scenario. The index is the id, from 1, that the scenario gets in the study of a run. Columns:
+            ``file``, ``kind`` (the cluster that the scenario represents), ``role``, ``why`` (the reason for its
+            selection), and ``error`` (why the scenario cannot be run). Unknown values are empty.
         """
         import pandas as pd
 

@@ -1,4 +1,4 @@
-"""Written page or film, which a notebook can show."""
+"""Class `Page`, a file that was written as HTML page or film, and that a notebook shows."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _MAX_BYTES: Final = 20_000_000
 
 
 class Page(os.PathLike[str]):
-    """Written page or film; a notebook shows the content of an HTML page, and the path of any other file.
+    """File that was written, an HTML page or a film; a notebook shows the HTML page, but only the path of a film.
 
     Parameters
     ----------
@@ -47,9 +47,9 @@ class Page(os.PathLike[str]):
         return f"<Page {str(self.path)!r}>"
 
     def _repr_html_(self) -> str:
-        """Return the page as HTML in a frame that cannot access the notebook.
+        """Return the page as HTML in an ``iframe`` that cannot access the notebook.
 
-        For a film, or for a file that is missing or large, return a line of text.
+        Return a line of text instead if the file is a film, is large, or was removed.
         """
         try:
             if self.path.suffix.lower() not in (".html", ".htm") or self.path.stat().st_size > _MAX_BYTES:

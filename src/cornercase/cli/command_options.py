@@ -21,8 +21,9 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 def add_api_options(*names: str, **defaults: str) -> Callable[[Function], Function]:
     """Return a decorator that adds options of the API to a command.
 
-    The command gets the values of the options as keyword arguments, parsed as the API takes them. `defaults` names
-    further options, whose default the API chooses later; each value is the text that help shows as the default.
+    The command gets the values of the options as keyword arguments, parsed as the API takes them. `names` are options
+    that have the default of the API. `defaults` maps further options, whose default the API chooses later, to the text
+    that the help shows as the default.
     """
     options: dict[str, Option] = {}
     for name in (*names, *defaults):

@@ -22,9 +22,9 @@ _MAX_BYTES: Final = 1_000_000
 
 
 def read_explore_options(path: Path) -> dict[str, Any]:
-    """Read options of `explore` from a TOML file, by name in Python.
+    """Read options of `explore` from a TOML file; return them by the name of their Python parameter.
 
-    Raises `InputError` if an option is unknown or has a wrong type, or could run code or name outputs.
+    Raises `InputError` if an option is unknown, has a wrong type, could run code, or names a file to write.
     """
     options = {}
     for key, value in parse_toml(path, read_utf8(path, _MAX_BYTES)).items():
@@ -67,7 +67,7 @@ def _check_value(path: Path, option: Option, value: Any) -> Any:
 
 
 def _require_registered_driver(path: Path, text: str, option: Option) -> None:
-    """Raise InputError if a driver is the user's own code: a study file must not run code."""
+    """Raise InputError if a driver is not registered, since it is then code, which a study file must not run."""
     from cornercase.drivers._registry import is_registered_driver
     from cornercase.drivers._resolve import create_driver_named_in_file
 
@@ -89,7 +89,7 @@ def _require_registered_driver(path: Path, text: str, option: Option) -> None:
 
 
 def _require_numeric_options(path: Path, text: str, option: Option) -> None:
-    """Raise InputError if a sensor or vehicle has options that are no numbers, since texts could name files."""
+    """Raise InputError if an option of a sensor or vehicle is a text, not a number, since a text could name a file."""
     from cornercase.drivers._resolve import find_non_numeric_option
 
     if (other := find_non_numeric_option(text.partition("=")[2])) is not None:

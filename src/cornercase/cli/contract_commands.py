@@ -36,7 +36,7 @@ def check_sut(
     ego: _Ego = "Ego",
     as_json: opt.Json = False,
 ) -> None:
-    """Check that a system under test is repeatable, requests what vehicles can do, and depends on its scenario only.
+    """Check that a system under test is repeatable, asks no impossible motion, and depends on its scenario only.
 
     The exit code is 1 if a check fails.
 
@@ -73,9 +73,8 @@ def check_simulator(
     """Check that a simulator is as repeatable as it declares, has the right units, and agrees with the builtin one.
 
     Twelve small scenarios are compared: braking, a lane change, a crossing walker, collisions and others. In two more
-    scenarios, the ego is driven by a driving function, and by each agent of the simulator. A simulator that runs in a
-    process of its own is also killed on purpose.
-    The exit code is 1 if a check fails.
+    scenarios, a driving function drives the ego, and then each driver that the simulator itself offers. If the
+    simulator runs in a process of its own, this process is also killed on purpose. The exit code is 1 if a check fails.
 
     \b
     Example:
@@ -116,7 +115,7 @@ def _read_check_scenarios(scenario: Path | None, space: Path | None, ego: str) -
 
     if scenario is None:
         if space is not None:
-            raise InputError("--space: belongs to a scenario; give it by --scenario, too.")
+            raise InputError("--space: gives the ranges of a scenario; give the scenario, too, with --scenario.")
         return None
     return [Cases.from_logical(LogicalScenario.read(scenario, space), ego)]
 

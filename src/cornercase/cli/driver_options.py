@@ -86,7 +86,7 @@ def combine_drivers(
 
 
 def _read_drivers(text: str, option: str) -> Mapping[str, str]:
-    """Return the drivers that the text of an option gives, by entity."""
+    """Return the driver of each entity that the text of an option names; for ``--sut``, the text can be a TOML file."""
     if option == "--sut" and "=" not in text and text.endswith(".toml"):
         from cornercase.cli.sut_file import read_sut_file
 
@@ -103,7 +103,7 @@ def _find_vehicle(parts: Sequence[str]) -> str | None:
 def _check_equipment(
     option: str, other_option: str, text: str, spec: str, registry: Registry[Any], other: Registry[Any]
 ) -> None:
-    """Raise InputError unless a text names one sensor, or one vehicle."""
+    """Raise InputError unless the text of ``--sensor`` names one sensor, or the text of ``--vehicle`` one vehicle."""
     from cornercase.drivers._registry import SEPARATOR
 
     name = spec.partition(":")[0].strip()

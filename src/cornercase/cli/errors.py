@@ -33,8 +33,9 @@ _PACKAGE_FOLDER: Final = Path(__file__).parents[1]
 def run_command(command: Callable[[], Any]) -> int:
     """Run the command line application and return its exit code; a failure prints one sentence to stderr.
 
-    Exit codes of failures: 2 if input, machine or a bug prevented the work; 130 for Ctrl-C and 143 for SIGTERM; 1 if
-    the study being written was lost, or if the output pipe was closed. A closed pipe prints no sentence.
+    Exit codes of failures: 2 if wrong input, a fault of the machine or a bug stopped the command; 130 after Ctrl-C and
+    143 after SIGTERM; 1 if the study that the command was writing was lost, or if the reader of stdout closed the pipe.
+    In the last case no sentence is printed.
     """
     try:
         code = command()
@@ -177,7 +178,7 @@ def _describe_error(error: BaseException) -> str:
 
 
 def _find_file_in_use(frames: list[FrameType]) -> Path | None:
-    """Return the file that the innermost function was working on, or else a file in the arguments; None if none."""
+    """Return the file in the variables of the innermost function, or else a file on the command line; None if none."""
     values = (value for frame in reversed(frames) for value in frame.f_locals.values() if isinstance(value, Path))
     return next(filter(_is_file, chain(values, map(Path, sys.argv[2:]))), None)
 
@@ -190,7 +191,7 @@ def _is_file(path: Path) -> bool:
 
 
 def _describe_fault_location(error: BaseException) -> str:
-    """Return module and line in cornercase where an error occurred, so that the same bug gets the same message."""
+    """Return the innermost module and line in cornercase of a traceback, so that reports of one bug look the same."""
     for frame in reversed(traceback.extract_tb(error.__traceback__)):
         path = Path(frame.filename)
         if path.is_relative_to(_PACKAGE_FOLDER):

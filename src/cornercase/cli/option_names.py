@@ -42,7 +42,7 @@ def use_option_names(message: str) -> str:
 
 @cache
 def _map_names_to_options() -> dict[str, str]:
-    """Return options and commands by the names of the Python parameters and functions that they stand for."""
+    """Return the option of each Python parameter, and the command of each Python function, by the Python name."""
     commands: dict[str, Any] = vars(get_command(app))["commands"]
     options = {
         item.name: min(item.opts, key=len)

@@ -168,7 +168,7 @@ Json = Annotated[bool, Option("--json", help="Print JSON, for programs.", callba
 
 
 def _add_map_folders(context: typer.Context, folders: list[Path] | None) -> None:
-    """Add the folders of ``--maps`` and of the environment variable to the map folders while the command runs."""
+    """While the command runs, search for maps in the folders of ``--maps`` and of the variable ``CORNERCASE_MAPS``."""
     from cornercase.scenario._maps import MAPS_VARIABLE, use_map_folders
 
     if folders or os.environ.get(MAPS_VARIABLE):

@@ -110,9 +110,9 @@ def report(
 
 
 def _check_test_card_options(study: Path, test_cards: bool, one_page: bool, unused: Sequence[str]) -> None:
-    """Raise InputError for options that cannot be combined; `unused` are given options without effect on test cards."""
+    """Raise InputError if options cannot be combined; `unused` are the given options without effect on test cards."""
     if not test_cards:
-        raise InputError("--ids: chooses the scenarios on test cards; add --test-cards, or leave it out.")
+        raise InputError("--ids: chooses the scenarios on test cards; add --test-cards, or leave --ids out.")
     if one_page:
         raise InputError(
             "--test-cards and --one-page: each writes a page of its own; give one of them at a time, each with its own"
@@ -151,8 +151,8 @@ def watch(
 ) -> None:
     """Serve the report of a study on this machine, as a page that grows while explore runs.
 
-    This needs the extra live. The address contains a password: anyone who knows the address can read the page and
-    write notes. Ctrl-C ends the command.
+    The command needs further packages: pip install "cornercase[live]". The address contains a password: anyone who
+    knows the address can read the page and write notes. Ctrl-C ends the command.
 
     \b
     Example:

@@ -40,12 +40,13 @@ def check(
     ego: Annotated[str, Option("--ego", metavar="NAME", help="Entity under test, for --simulator.")] = "Ego",
     maps: opt.Maps = None,
 ) -> None:
-    """Check scenario files: what they contain, what has no effect here, and whether they are valid and can run.
+    """Check scenario files: what they contain, what cornercase ignores, and whether they are valid and can run.
 
     Violations of the standard that can be understood in only one way are accepted, and listed as "adapted". The exit
-    code is 1 if a file is not valid or cannot run, or with --strict if something was adapted. With --sut, the driver is
-    described, with the options that can be searched. With --simulator, parameters are listed that an agent overrides,
-    and parts of the scenario that this simulator ignores or replaces.
+    code is 1 if a file is not valid or cannot run, or with --strict if something was adapted. --sut also describes the
+    driver, and lists the options of the driver that explore can vary. --simulator also lists the parts of the scenario
+    that this simulator ignores or replaces, and the parameters without effect because a driver of the simulator decides
+    instead.
 
     \b
     Example:

@@ -51,8 +51,9 @@ def analyze(
 ) -> None:
     """Cluster the scenarios of a study, by behaviour and by criticality.
 
-    Aspects (what scenarios are compared by): ego-trajectory, ego-speed, ego-motion, behaviour (the ego's distance over
-    time), interaction, relative, bearing (direction from the ego to the other), aspects of other packages, each metric.
+    An aspect is what scenarios are compared by. Aspects are: ego-trajectory, ego-speed, ego-motion, behaviour (the
+    ego's distance over time), interaction, relative, bearing (direction from the ego to the other), each metric of the
+    study, and aspects that other packages add.
 
     \b
     Example:
@@ -110,7 +111,7 @@ def analyze(
 
 
 def _write_clustering_settings_page(study: Path, page: Path, by: list[str] | None, **options: Any) -> None:
-    """Write a page that shows the effect of clustering settings; aspects without clusters are analyzed first."""
+    """Write a page that shows the effect of clustering settings; first analyze aspects that have no clusters yet."""
     from cornercase import clustering
     from cornercase.report import write_clustering_settings_page
     from cornercase.study._study_file import open_study

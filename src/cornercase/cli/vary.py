@@ -40,8 +40,9 @@ def vary_scenario(
 ) -> None:
     """List the numbers of a scenario that could vary, or make parameters of them.
 
-    The list shows the name, value, unit, proposed range and line of each number. With --vary or --all it writes a
-    scenario in which they vary, and a file with their ranges. explore has the option --vary, too.
+    The list shows the name, value, unit, proposed range and line of each number. With --vary or --all, the command
+    writes a scenario in which these numbers are parameters, and a file with their ranges. To explore at once, give
+    --vary to explore.
 
     \b
     Example:

@@ -1,4 +1,4 @@
-"""Command `warm-up`: compile all Numba kernels in advance."""
+"""Command `warm-up`: compile all Numba functions in advance."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def warm_up() -> None:
 
 @contextmanager
 def compile_in_parallel(program: str = _LATE_PROGRAM) -> Iterator[None]:
-    """Within the block, start a second process at the first compilation; it compiles the kernels that are needed later.
+    """Within the block, let a second process compile what is needed later; it starts at the first compilation.
 
     Both processes share the cache of compiled code.
     """
@@ -114,7 +114,7 @@ def compile_in_parallel(program: str = _LATE_PROGRAM) -> Iterator[None]:
 
 
 def compile_late_kernels() -> None:
-    """Compile the kernels that examples need after the simulations; the process exits when its stdin closes."""
+    """Compile the functions that examples need after the simulations; exit the process as soon as its stdin closes."""
     import numpy as np
 
     from cornercase import clustering, dtw, metrics
@@ -131,7 +131,7 @@ def compile_late_kernels() -> None:
 
 
 def _import_kernels() -> None:
-    """Import all modules with kernels, so that their total number is known before compilation begins."""
+    """Import all modules with Numba functions, so that the number of functions is known before compilation begins."""
     package = Path(__file__).parents[1]
     for path in sorted(package.rglob("*.py")):
         if path != Path(__file__) and any(sign in path.read_text("utf-8") for sign in _KERNEL_IMPORTS):
@@ -139,7 +139,7 @@ def _import_kernels() -> None:
 
 
 def _iter_runs_by_package(folder: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
-    """Yield small runs, each after the name of the package that it uses; all runs together compile all kernels."""
+    """Yield pairs: the name of a subpackage, and a short run that uses it. All runs together compile everything."""
     from cornercase import clustering, drivers, metrics, optimizers, reduction, report, simulators
     from cornercase._common.errors import InputError
     from cornercase.exploration._config import ExplorationConfig

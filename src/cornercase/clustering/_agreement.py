@@ -77,12 +77,12 @@ def compare_clusterings(study: StudyFile) -> dict[tuple[str, str], Agreement]:
 
 
 def collect_facts(study: StudyFile, outcomes: Sequence[Outcome]) -> dict[str, list[str]]:
-    """Return facts about scenarios with which clusterings are compared: by name, one value per scenario.
+    """Return facts about scenarios, to compare clusterings with: for each name of a fact, one value per scenario.
 
-    The names are ``"outcome"`` (a text), ``"first"`` (who is first; None if ego and other entity collide), ``"ego
-    first"``, ``"collision"``, ``"fault"`` (who is at fault), ``"stopped"``, and ``"first of Ego and C"`` for each
-    further entity C. ``"critical"`` is added if the study has a threshold. Facts that are the same for all scenarios
-    are left out.
+    The names are ``"outcome"`` (a text), ``"first"`` (who is first where the paths cross, or ahead in a lane;
+    ``"None"`` if ego and other entity collide), ``"ego first"``, ``"collision"``, ``"fault"`` (who is at fault),
+    ``"stopped"``, and ``"first of Ego and C"`` for each further entity C. A study with a threshold, and without Pareto
+    front, also has ``"critical"``. Facts that are the same for all scenarios are left out.
     """
     other = outcomes[0].encounter.entity
     firsts = [None if other in {hit.entity for hit in outcome.impacts} else outcome.first for outcome in outcomes]
@@ -113,9 +113,9 @@ def mutual_information_with_facts(labels: IntArray, facts: Mapping[str, Sequence
 
 
 def mutual_information_with_critical(study: StudyFile, ids: IntArray, labels: IntArray) -> dict[str, float]:
-    """Return the adjusted mutual information of cluster labels with the fact ``"critical"``, by name of the fact.
+    """Return ``{"critical": information}``: the adjusted mutual information of labels and of being critical.
 
-    The result is empty if all scenarios or none are critical.
+    The dictionary is empty if all scenarios are critical, or if none is.
     """
     is_critical = dict(
         zip(

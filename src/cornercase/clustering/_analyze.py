@@ -81,10 +81,11 @@ def analyze(
     Scenarios are compared by several aspects, such as the trajectory of the ego. For each aspect, the distance of two
     scenarios is the Dynamic Time Warping distance of their time series, and `ScenarioClustering` finds the clusters.
 
-    With more than 2,000 scenarios, only 500 random scenarios, the landmarks, are compared with each other and
-    clustered. Each other scenario is compared with 100 landmarks, and joins a cluster of the landmarks. Series are
-    downsampled to at most 100 instants (for a series of median length). All other distances are estimated by landmark
-    multidimensional scaling; `Analysis.embedding_error` is the error of these estimates.
+    Comparing all pairs of more than 2,000 scenarios would take too long. Then only 500 random scenarios, the landmarks,
+    are compared with each other and clustered. Each other scenario is compared with 100 landmarks, and joins a cluster
+    of the landmarks. The distances of all other pairs are estimated by landmark multidimensional scaling;
+    `Analysis.embedding_error` is the error of these estimates. Also, all series are downsampled so that a series of
+    median length has at most 100 instants.
 
     Parameters
     ----------
@@ -94,27 +95,29 @@ def analyze(
         Aspects: any of `cornercase.clustering.ASPECTS`, and metrics of the study. By default the ego's trajectory,
         the direction from the ego to the other entity (``"bearing"``), the interaction of both, and all metrics.
     gamma, eps : float or "auto", default "auto"
-        Kernel width and radius of the neighbourhood, without unit.
+        Factor of the Gaussian kernel (the larger, the narrower the kernel), and radius of DBSCAN's neighbourhood. Both
+        are without unit; `ScenarioClustering` defines them.
     min_samples : int or "auto", default "auto"
         Smallest number of scenarios in a dense neighbourhood.
     method : {"dbscan", "hdbscan"}, optional
         Algorithm that finds the clusters; by default DBSCAN.
     window : float, optional
-        Largest difference in time, in s, of two instants that are matched, beyond the difference of the recordings'
-        lengths. By default any difference is allowed, as in the paper; then waiting adds nothing to a distance.
+        Largest difference in time, in s, of two instants that are matched. If one recording is longer than the other,
+        the difference of their lengths is added. By default any difference is allowed, as in the paper; then waiting
+        adds nothing to a distance.
     keep_clusters : bool, default False
         Keep the existing clusters of the study, and assign scenarios that were run later to these clusters as
         `ScenarioClustering.predict` does.
     critical : float, optional
-        Threshold of the score for critical scenarios, with which the clusters are compared. By default it is the
-        threshold of the study. The study keeps its own threshold.
+        Threshold of the score that makes scenarios critical. The result says how well the clusters agree with being
+        critical. By default the threshold of the study; the study keeps its own threshold in any case.
     workers : int, default 1
         Number of processes of a local Dask cluster.
     cluster : str or distributed.Client, optional
         Dask cluster that computes the distances: ``"local"`` for `workers` local processes, the address of a scheduler,
         the file that a scheduler wrote, or a client, which stays open. The result is the same to the bit.
     memory : str or float, default "4 GB"
-        Memory limit of the process, in bytes or as text; more scenarios than fit are refused.
+        Memory limit of the process, in bytes, or as a text such as ``"4 GB"``. More scenarios than fit are refused.
     progress : bool, default False
         Show a progress bar.
 
@@ -171,7 +174,7 @@ def analyze(
 class _AnalysisInputs:
     """Time series and other inputs of all scenarios that were run.
 
-    They come from stored digests (downsampled recordings), and from recordings if the digests do not contain them.
+    Inputs are read from the stored digests (downsampled recordings); those that digests lack, from the recordings.
     """
 
     outcomes: list[Outcome]
@@ -336,8 +339,9 @@ def _cluster_by_aspect(
 ) -> tuple[Clustering, IntArray, FloatArray, Distances, float | None]:
     """Cluster scenarios by one aspect (what scenarios are compared by).
 
-    Returns the clusters, the ids of the scenarios in which the clusters were found, the distances to store, the
-    distances between all scenarios, and the error of the distances between all scenarios (None if exact).
+    Returns five things: the clusters; the ids of the scenarios of the analysis that found the clusters; the distances
+    to store (between all scenarios or between the landmarks); the distances between all scenarios; and the error of the
+    latter, None if they are exact.
     """
     if existing is None and len(ids) > MAX_ALL_PAIRS:
         result = cluster_by_landmarks(comparer, model)

@@ -21,10 +21,11 @@ class LandmarkDistanceEstimator:
     """Linear model of a scenario's distances to all landmarks, given its distances to some landmarks, the anchors.
 
     Landmarks are scenarios that were all compared with each other: `landmark_distances`, shape (m, m), are the
-    distances between them. The squared distance of a point to any other point is linear in its squared distances to
-    points that span the space, and DTW distances are nearly squared Euclidean distances. The linear map is fitted to
-    `landmark_distances` by least squares. `anchors` are the indices of landmarks that are far from one another, rising.
-    If the map is too inexact, all landmarks are anchors.
+    distances between them. A linear model is possible since DTW distances are nearly squared Euclidean distances. In
+    Euclidean space, the squared distances from a point to some points that span the space determine, linearly, its
+    squared distance to any other point. The model is fitted to `landmark_distances` by least squares. `anchors` are the
+    indices of landmarks that are far from one another, in rising order. If the model is too inexact, all landmarks are
+    anchors.
     """
 
     def __init__(self, landmark_distances: FloatArray) -> None:
@@ -57,7 +58,7 @@ class LandmarkDistanceEstimator:
 
 
 def _choose_distant(distances: FloatArray, count: int) -> IntArray:
-    """Choose `count` scenarios, each the farthest from all chosen before; return their indices, rising."""
+    """Choose `count` scenarios, each as far as possible from those chosen before; return indices in rising order."""
     chosen: list[int] = []
     nearest = np.full(len(distances), np.inf)
     for _ in range(min(count, len(distances))):

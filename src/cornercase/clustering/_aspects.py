@@ -37,8 +37,8 @@ class Aspect(ABC):
     name : str
         Name, also on the command line, such as ``"ego-speed"``.
     unit : str
-        Unit of all channels of the series; ``"1"`` for none. The distance of two scenarios is a sum along the warping
-        path, so it has the same unit.
+        Unit of all channels of the series; ``"1"`` for none. Distances of scenarios have the same unit, since Dynamic
+        Time Warping adds up differences of series.
 
     See Also
     --------
@@ -129,16 +129,16 @@ class RelativePosition(Aspect):
     name, unit = "relative", "m"
 
     def series(self, recording: Recording, ego: str, other: str) -> FloatArray:
-        """Return the other's position in the ego's frame, shape (T, 2)."""
+        """Return how far the other entity is ahead of the ego, and to the left of the ego, shape (T, 2)."""
         return relative_position_series(recording, ego, other)
 
 
 class Bearing(Aspect):
     """Direction in which the ego sees the other entity, as a unit vector (ahead, left), regardless of the distance.
 
-    When the two pass each other, the direction turns to the left or to the right, which shows who was first. Before and
-    after, the direction hardly changes. If both are at the same point, or the other entity never exists, the direction
-    is the null vector.
+    While ego and other entity pass each other, the direction turns to the left or to the right; the sense of this turn
+    shows who was first. Before and after passing, the direction hardly changes. The direction is the null vector if
+    both are at the same point, or if the other entity never appears.
     """
 
     name, unit = "bearing", "1"
@@ -151,7 +151,8 @@ class Bearing(Aspect):
 class EgoProgress(Aspect):
     """Distance travelled by the ego along its own path, and time scaled by 5 m/s, both in m.
 
-    Matching different times has a cost per second, so waiting counts. The location of the path does not count.
+    Since time is part of the series, matching two instants costs more, the farther they are apart in time, so waiting
+    counts. Where the path lies on the map does not count.
     """
 
     name, unit = "behaviour", "m"

@@ -40,9 +40,9 @@ def refit(analysis: Analysis, distances: FloatArray) -> ScenarioClustering:
 def assign_to_clusters(study: StudyFile, analysis: Analysis, other_study: StudyFile, ids: Sequence[int]) -> IntArray:
     """Return the cluster of each of the scenarios `ids` of another study, among the clusters of an analysis of `study`.
 
-    As in `ScenarioClustering.predict`, a scenario joins the cluster of the nearest dense scenario in its neighbourhood;
-    -1 is noise. The other study must have the same entities. If the analysis is by a metric, the other study must have
-    this metric.
+    As in `ScenarioClustering.predict`, a scenario joins the cluster of the nearest dense scenario (one with many
+    neighbours). If no dense scenario is near enough, the scenario is noise, -1. The other study must have the same
+    entities. If the analysis is by a metric, the other study must have this metric.
     """
     if not len(ids):
         return np.zeros(0, dtype=np.int64)

@@ -1,4 +1,4 @@
-"""Search for the kernel width and the neighbourhood radius that show the clusters best."""
+"""Search for the width of the Gaussian kernel and the radius of DBSCAN that show the clusters best."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ def canonical_order(distances: FloatArray) -> IntArray:
 def _candidate_spaces(
     n_scenarios: int, n_components: int | _Auto, min_samples: int | _Auto, smallest_cluster: int
 ) -> Iterator[tuple[int, int]]:
-    """Yield pairs to try: dimensions of the kernel space, and `min_samples`; the usual values first."""
+    """Yield the pairs (dimensions of the kernel space, `min_samples`) to try, the usual pair first."""
     usual = max(3, math.ceil(math.log(n_scenarios))) if n_scenarios >= _MIN_SCENARIOS else 1
     # A cluster of five is not dense if six are needed; clusters that touch need more neighbours to be separated.
     neighbours = [value for value in (usual, 3, 2 * usual) if value <= max(smallest_cluster, 1)]
@@ -116,9 +116,10 @@ def _candidate_spaces(
 
 
 def _mean_f_measure(labels: IntArray, expected: IntArray) -> float:
-    """Return how well two clusterings match, 0 to 1: the mean F-measure of each cluster with its best match.
+    """Return how well two clusterings match, 0 to 1: the lower of two means of F-measures.
 
-    The mean is over the `expected` clusters or over the clusters in `labels`, whichever is lower.
+    One is the mean over the `expected` clusters, each compared with the most similar cluster of `labels`; the other is
+    the mean over the clusters of `labels`, each compared with the most similar expected cluster.
     """
     shared = np.zeros((int(expected.max()) + 1, int(labels.max()) + 1))
     if not shared.size:
@@ -131,7 +132,7 @@ def _mean_f_measure(labels: IntArray, expected: IntArray) -> float:
 
 
 class _Embedding(NamedTuple):
-    """Coordinates of scenarios in kernel space, shape (n, dimensions), and their share of the variance."""
+    """Coordinates of scenarios in kernel space, shape (n, dimensions), and the share of the variance that they keep."""
 
     points: FloatArray
     explained: float
@@ -140,7 +141,7 @@ class _Embedding(NamedTuple):
 class _SettingsSearch:
     """Search for the settings with which kernel PCA and DBSCAN find the clusters that the distances show.
 
-    `expected` are these clusters, estimated from the distances. `candidates` are all settings tried so far.
+    `expected` are the clusters that the distances show, as estimated. `candidates` are all settings tried so far.
     """
 
     def __init__(self, distances: FloatArray, searching: bool, method: ClusteringMethod) -> None:
@@ -156,7 +157,7 @@ class _SettingsSearch:
         return max(candidate.score for candidate, _, _ in self.candidates)
 
     def evaluate_kernel(self, gamma: float, eps: float | _Auto, n_components: int, min_samples: int) -> None:
-        """Try all neighbourhood radii for one kernel, and add each as a candidate."""
+        """Try all radii, or the given radius `eps`, in one kernel space; add each radius as a candidate."""
         if (gamma, n_components) not in self._embeddings:
             fitted = KernelPca(gamma, n_components).fit(self._scaled)
             self._embeddings[gamma, n_components] = _Embedding(fitted.embedding, fitted.explained)
@@ -187,8 +188,9 @@ class _SettingsSearch:
     def find_best_candidate_index(self, settings_given: bool) -> int:
         """Return the index of the best candidate.
 
-        The few candidates with the highest scores are also tested for stability, and their validity is computed. Unless
-        the settings are given, a single cluster wins if the score or the stability of the best candidate is too low.
+        For the few candidates with the highest scores, stability and validity are computed. If the best of them scores
+        too low or is too unstable, a candidate with a single cluster wins instead, except if the user gave gamma and
+        eps (`settings_given`).
         """
         indices = np.arange(len(self._scaled))
         self._stability = StabilityScorer(self._scaled, indices, method=self._method, max_part_size=MAX_SCORED)
@@ -253,15 +255,17 @@ class _SpanningTreeEdges:
 
     @property
     def gap_clearness(self) -> float:
-        """Gap between the longest edge within clusters and the shortest edge between clusters, relative, 0 to 1."""
+        """Share by which the longest edge within clusters is shorter than the shortest edge between clusters, 0 to
+        1."""
         if not len(self._across) or not len(self._within):
             return 0.0
         return max(0.0, 1.0 - float(self._within.max() / max(self._across.min(), 1e-300)))
 
     def candidate_radii(self, method: ClusteringMethod) -> Iterable[float]:
-        """Return neighbourhood radii to try: above most edges within clusters, and below edges between clusters.
+        """Return radii to try: longer than most edges within clusters and, if possible, shorter than edges between
+        them.
 
-        The largest radius connects all points.
+        One more radius connects all points. For HDBSCAN, 0 is also tried.
         """
         tiny = 1e-9 + 1e-6 * self._largest
         # A radius equal to a distance would make neighbours depend on the last digits.

@@ -1,4 +1,4 @@
-"""Cells of nearby points, with which searches skip the distances to points that are too far away."""
+"""Cells, groups of nearby points: a search skips a whole cell if it is too far away."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -24,12 +24,12 @@ MARGIN = 1.0 + 1e-9
 
 
 class Cells(NamedTuple):
-    """Cells: groups of `CELL_SIZE` nearby points, with their coordinates next to each other in memory.
+    """All cells: groups of `CELL_SIZE` nearby points, whose coordinates are next to each other in memory.
 
-    `indices`, shape (c, CELL_SIZE), are the indices of the points in the c cells. Padding has the index -1 and the
-    coordinates of the last point. `members`, shape (c, stages, AXES_PER_STAGE, CELL_SIZE), are the coordinates; a stage
-    is a group of axes. `centers`, shape (AXES_PER_STAGE, c), and `radii`, shape (c,), are bounding balls of the cells
-    in the axes of the first stage.
+    `indices`, shape (c, CELL_SIZE), are the indices of the points in the c cells. The last cell is filled up with
+    copies of the last point, which have the index -1. `members`, shape (c, stages, AXES_PER_STAGE, CELL_SIZE), are the
+    coordinates; a stage is a group of axes. `centers`, shape (AXES_PER_STAGE, c), and `radii`, shape (c,), describe a
+    ball around the points of each cell, in the axes of the first stage only.
     """
 
     indices: IntArray

@@ -24,25 +24,27 @@ class Candidate:
     Attributes
     ----------
     gamma, eps : float
-        Kernel width and neighbourhood radius.
+        Factor of the Gaussian kernel (the larger, the narrower the kernel), and radius of DBSCAN's neighbourhood.
     clusters : int
         Number of clusters.
     noise : float
         Share of the scenarios in no cluster.
     dbcv, silhouette : float
-        Validity on the given distances, -1 to 1; NaN if not computed.
+        Validity indices of the clusters, computed from the given distances, -1 to 1; NaN if not computed.
     stability : float
-        Mean adjusted Rand index of these clusters and the clusters of ten random parts of 80 % of the scenarios. It is
-        1 by construction if all scenarios are one group, or noise. Stability and validity are computed only for the
-        best candidates overall, and for the best candidates with a few numbers of clusters; NaN for other candidates.
+        Ten random parts of 80 % of the scenarios are clustered with the same settings. The stability is the mean
+        adjusted Rand index of the clusters of all scenarios and those of a part. It is always 1 if all scenarios are in
+        one cluster, or all are noise. Stability and validity are computed only for the candidates with the highest
+        scores, and for the best candidate of some numbers of clusters; they are NaN for other candidates.
     score : float
         Objective that ``"auto"`` maximizes; -inf without a search. If the stability is NaN, this is an upper bound.
     n_components, min_samples : int
         Dimensions of the embedding, and scenarios in a dense neighbourhood; 0 in a study of an early version.
     agreement : float
-        Match of these clusters with the clusters that the distances show, 0 to 1; NaN without a search. The match is
-        the mean F-measure over the clusters of either side, whichever is less. So small clusters count as much as
-        large ones.
+        Match of the candidate's clusters with the clusters expected from the distances, 0 to 1; NaN without a search.
+        Each cluster is compared with the most similar cluster of the other clustering by the F-measure. The match is
+        the mean over the candidate's clusters or over the expected clusters, whichever mean is lower. So small clusters
+        count as much as large clusters.
 
     Examples
     --------
@@ -79,7 +81,7 @@ class Clustering:
     embedding : ndarray of float64, shape (n, n_components)
         Coordinates in kernel space. Each axis is signed so that its entry of largest magnitude is positive.
     gamma, eps : float
-        Kernel width and neighbourhood radius, as given or found.
+        Factor of the Gaussian kernel and radius of DBSCAN's neighbourhood, as given or found.
     min_samples : int
         Number of scenarios in a dense neighbourhood, as given or found.
     scale : float
@@ -93,8 +95,9 @@ class Clustering:
     landmarks : ndarray of int64, shape (m,)
         Indices of the scenarios that span the kernel space; empty if all scenarios span it.
     error : float
-        Relative error of the kernel between scenarios that are no landmarks, if it is approximated from the landmarks:
-        root mean square of the difference, divided by the root mean square of the kernel. It is 0 without landmarks.
+        Relative error that landmarks cause: the kernel between other scenarios is approximated from their kernel with
+        the landmarks. The error is the root mean square of the approximate minus the exact kernel, divided by the root
+        mean square of the exact kernel. It is 0 without landmarks.
 
     Examples
     --------
@@ -120,10 +123,10 @@ class Clustering:
 
     @property
     def stability(self) -> float | None:
-        """Mean adjusted Rand index with the clusters of random parts of the scenarios, -1 to 1.
+        """Mean adjusted Rand index of these clusters and those of random parts of the scenarios, -1 to 1.
 
-        It is None if it was not computed, or if all scenarios are in one cluster, or noise. The stability is also used
-        to choose the settings, so it is not independent evidence.
+        The stability is None if it was not computed, if all scenarios are in one cluster, or if all are noise. The
+        search also uses the stability to choose the settings, so the stability is no independent evidence.
         """
         if len(np.unique(self.labels)) < 2:
             return None

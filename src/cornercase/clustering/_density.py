@@ -15,7 +15,7 @@ from cornercase.clustering._kernels.dbscan import dbscan_labels
 def cluster_by_density(embedding: FloatArray, eps: float, min_samples: int, method: ClusteringMethod) -> IntArray:
     """Cluster points, shape (n, n_components), by DBSCAN or HDBSCAN; the largest cluster is 0, -1 is noise.
 
-    HDBSCAN does not divide a cluster into parts that are less than `eps` apart.
+    For DBSCAN, `eps` is the radius of a neighbourhood. HDBSCAN keeps parts together that are less than `eps` apart.
 
     M. Ester et al., "A density-based algorithm for discovering clusters in large spatial databases with noise", 1996;
     R. Campello, D. Moulavi, J. Sander, "Density-based clustering based on hierarchical density estimates", 2013.
@@ -32,9 +32,10 @@ def cluster_by_density(embedding: FloatArray, eps: float, min_samples: int, meth
 
 
 def assign_to_nearest_cluster(new_points: FloatArray, clustering: Clustering) -> IntArray:
-    """Return the cluster of the nearest dense point for each of some new points in kernel space, shape (m,).
+    """Return the cluster that each new point in kernel space joins, shape (m,): that of the nearest dense point.
 
-    A point is noise (-1) if no dense point is near.
+    A dense point is a clustered point with many neighbours. A new point is noise (-1) if the nearest dense point is
+    farther away than `_assignment_radius`.
     """
     dense = np.flatnonzero(_is_dense(clustering))
     if not len(dense):
@@ -54,7 +55,7 @@ def renumber_by_size(labels: npt.NDArray[np.int_]) -> IntArray:
 
 
 def _is_dense(clustering: Clustering) -> BoolArray:
-    """Return the mask of the scenarios that are dense points; for HDBSCAN, of all scenarios in a cluster."""
+    """Return True for each scenario that has many neighbours; for HDBSCAN, for each scenario in a cluster."""
     if clustering.method == "hdbscan":
         return np.asarray(clustering.labels >= 0)
     distances = cdist(clustering.embedding, clustering.embedding)

@@ -104,9 +104,9 @@ class EmbeddedDistances:
         return int(members[((points - points.mean(axis=0)) ** 2).sum(axis=1).argmin()])
 
     def distances_to_nth_neighbour(self, rows: IntArray, number: int) -> FloatArray:
-        """Return the distance from each of the given rows to its nearest neighbour with the given number.
+        """Return the distance from each of the given rows to its `number`-th nearest neighbour among all rows.
 
-        Number 1 is the nearest neighbour; number 0 is the row itself.
+        If `number` is 1, this is the nearest neighbour; if 0, the row itself.
         """
         roots, _ = self._tree.query(self._rows[rows], k=[number + 1])
         return np.asarray(roots, dtype=np.float64)[:, 0] ** 2
@@ -125,7 +125,7 @@ class EmbeddedDistances:
         return squares
 
     def distances_to_nearest_per_choice(self, row_choices: IntArray, columns: IntArray | None = None) -> FloatArray:
-        """Return, for each choice of rows, the distance from each column to the nearest chosen row.
+        """Return the distance from each column to the nearest chosen row, for several alternative choices of rows.
 
         `row_choices`, shape (choices, rows), has the indices of the rows in each choice. `columns` are indices of
         columns, by default all. The result has the shape (choices, columns).
@@ -148,7 +148,8 @@ class EmbeddedDistances:
     def medoids(self, count: int) -> IntArray:
         """Choose `count` scenarios so that each scenario is near to a chosen scenario; return rising indices.
 
-        Distances are squared, so k-means minimises their sum. The scenario nearest to the mean of each group is chosen.
+        k-means divides the scenarios into groups, and of each group the scenario nearest to the mean is chosen. k-means
+        fits here, since it minimises the sum of squared distances, and the distances of this class are squared.
         """
         n = len(self)
         if count >= n:
@@ -164,9 +165,9 @@ class EmbeddedDistances:
 class LandmarkMDS:
     """Landmark multidimensional scaling: coordinates of scenarios from their distances to some landmarks.
 
-    `landmark_distances`, shape (m, m), are the distances between the landmarks. The scaling uses the square roots of
-    the distances: the DTW distance is no metric, but its root is nearly Euclidean. Only the 48 largest axes are used,
-    so distances between very similar scenarios come out too small. V. de Silva, J. Tenenbaum, "Sparse multidimensional
+    `landmark_distances`, shape (m, m), are the distances between the landmarks. The coordinates represent the square
+    roots of the distances, since the root of a DTW distance is nearly Euclidean. Only the 48 largest axes are used, so
+    distances between very similar scenarios come out too small. V. de Silva, J. Tenenbaum, "Sparse multidimensional
     scaling using landmark points", 2004.
     """
 

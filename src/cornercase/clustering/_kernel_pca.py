@@ -26,7 +26,7 @@ class KernelPca:
         self.explained = 1.0
 
     def fit(self, distances: FloatArray) -> Self:
-        """Fit the components to distances, shape (n, n), that are divided by their scale."""
+        """Fit the components to distances, shape (n, n), which the caller has divided by their median."""
         kernel = self._gaussian_kernel(distances)
         n = len(kernel)
         self._fitted_kernel = kernel
@@ -43,7 +43,8 @@ class KernelPca:
     def transform(self, distances: FloatArray) -> FloatArray:
         """Return the coordinates of further scenarios, shape (m, n_components).
 
-        `distances`, shape (m, n), are from the further scenarios to the fitted scenarios, divided by the same scale.
+        `distances`, shape (m, n), lead from the further scenarios to the fitted scenarios. The caller has divided them
+        by the same number as the distances for `fit`.
         """
         embedding = np.zeros((len(distances), self._n_components))
         if self._pca is not None and len(distances):
@@ -52,11 +53,12 @@ class KernelPca:
         return embedding
 
     def approximation_error(self, to_fitted: FloatArray, between: FloatArray, tolerance: float = 1e-10) -> float:
-        """Return the relative error (Frobenius norm) if the kernel between further scenarios is approximated.
+        """Return the relative error (Frobenius norm) of approximating the kernel between further scenarios.
 
-        The approximation uses the kernel between further and fitted scenarios. `to_fitted`, shape (m, n), are distances
-        to the fitted scenarios, `between`, shape (m, m), are distances between the further scenarios. Singular values
-        below the share `tolerance` of the largest singular value count as rounding errors.
+        The approximation (Nyström) knows only the kernel between further and fitted scenarios. `to_fitted`, shape (m,
+        n), are the distances from the m further to the n fitted scenarios; `between`, shape (m, m), are the distances
+        between the further scenarios. Singular values below `tolerance` times the largest singular value are ignored as
+        rounding errors.
         """
         cross, kernel = self._gaussian_kernel(to_fitted), self._gaussian_kernel(between)
         weights = lstsq(self._fitted_kernel, cross.T, cond=tolerance)[0]

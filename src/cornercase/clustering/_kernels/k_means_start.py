@@ -21,13 +21,13 @@ _BLOCK_SIZE = 128
 
 @kernel(error_model="numpy")
 def choose_centers(points, cells, first, random_numbers):
-    """Return the indices of k points that are initial centres, by greedy k-means++; `first` is the index of the first.
+    """Choose k points as initial centres by greedy k-means++, and return their indices; the first index is `first`.
 
     `points` have shape (n, stages, AXES): coordinates in groups of `AXES_PER_STAGE` axes. `cells` are the cells that
-    `make_cells` makes of these points. `random_numbers`, shape (k - 1, trials), are in [0, 1): each row chooses the
-    next centre. Each number draws a candidate, with a probability in proportion to the squared distance to the nearest
-    centre. The candidate that lowers the sum of these squared distances most becomes the next centre. If candidates are
-    tied, the first of them is chosen.
+    `make_cells` makes of these points. `random_numbers`, shape (k - 1, trials), are in [0, 1): each row chooses one
+    more centre, so k is one more than the number of rows. Each number in the row draws a candidate; the probability of
+    a point is proportional to its squared distance to the nearest centre. The candidate that lowers the sum of these
+    squared distances most becomes the centre. If candidates are tied, the first of them is chosen.
     """
     n, k = len(points), len(random_numbers) + 1
     n_blocks = -(-n // _BLOCK_SIZE)

@@ -1,4 +1,4 @@
-"""Compiled search for the nearest points, for points with many axes if the first axes vary most."""
+"""Compiled search for nearest points with many axes; fast if points differ most in the first axes."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"

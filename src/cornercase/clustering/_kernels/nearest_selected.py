@@ -12,11 +12,11 @@ from cornercase._common.numba.kernel import kernel
 
 @kernel(error_model="numpy")
 def fill_nearest_distances(rows, columns, nearest_rows, choices, result):
-    """Write the squared distance of each column to the nearest chosen row to `result`, shape (draws, m).
+    """Write to `result`, shape (choices, m), the squared distance of each column to the nearest chosen row.
 
-    Rows and columns are points: `rows`, shape (n, p), and `columns`, shape (m, p), are their coordinates. Each row of
-    `choices`, shape (draws, size), has the indices of chosen rows. `nearest_rows`, shape (m, k), are the indices of the
-    rows nearest to each column, the nearest first.
+    Rows and columns are points: `rows`, shape (n, p), and `columns`, shape (m, p), are their coordinates. `choices` has
+    several alternative choices, one per line, as indices of `rows`. `nearest_rows`, shape (m, k), are the indices of
+    the k rows nearest to each column, the nearest first.
     """
     is_chosen = np.zeros(len(rows), dtype=np.bool_)
     for draw in range(len(choices)):
