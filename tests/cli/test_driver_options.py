@@ -167,7 +167,7 @@ def test_a_study_is_the_same_by_options_by_one_text_and_by_a_file(folder):
         ("[Ego]\ndriver='normal'\nsensors=[3]", "[Ego], sensors 1: is no text"),
         ("[Ego]\ndriver='normal'\nsensors=[{options={}}]", "[Ego], sensors 1: has no 'name'; add one."),
         ("[Ego]\ndriver='normal'\nvehicle={name='kinematic', mass=3}", "[Ego], vehicle: has 'mass', which is not known"),
-        ("[Ego]\ndriver='normal'\noptions=3", "[Ego], driver: its options are no table; write options = {"),
+        ("[Ego]\ndriver='normal'\noptions=3", "[Ego], driver: 'options' is no table; write options = {"),
         ("[Ego]\ndriver='normal'\noptions={horizon=[1]}", "the option 'horizon' is no number, text, true or false."),
         ("[Ego]\ndriver='normal'\noptions={horizon='1,2'}", "a comma or ' + ' cannot be in a value."),
         ("[Ego", "sut.toml"),
@@ -183,7 +183,7 @@ def test_a_wrong_file_is_refused_with_its_key(folder, text, says):
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ('sut = ["sut.toml"]', "'sut' names the file sut.toml, which may name code; give --sut sut.toml on the command line."),
+        ('sut = ["sut.toml"]', "'sut' names the file sut.toml, which could run code; give --sut sut.toml on the command line."),
         ('sut = ["Ego=my_aeb:Aeb"]', "give it on the command line, --sut Ego=my_aeb:Aeb"),
         ('sensor = ["Ego=blind:range=far"]', "'sensor' has the option 'range', which is no number"),
     ],

@@ -290,7 +290,7 @@ def test_stumble_10_a_study_file_stands_for_many_options(searched, tmp_path, mon
             "If it is a class, give it on the command line, --driver Ego=mine:Driver: a study file must not name code.",
         ),
         ('driver = ["Ego=normal:horizon=x"]', "in a file, options are numbers"),
-        ('simulator = "carla:port=1"', "has options, which may name programs"),
+        ('simulator = "carla:port=1"', "has options, which could start programs"),
         (
             'cluster = "tcp://10.0.0.1:8786"',
             "'cluster' is not allowed in a study file; give --cluster on the command line",

@@ -312,8 +312,8 @@ def test_validity_index_by_hand():
     [
         (np.zeros((2, 3)), {}, "is not square"),
         (np.zeros((0, 0)), {}, "is not square"),
-        ([[0.0, np.nan], [np.nan, 0.0]], {}, "The distance of 0 and 1 is nan"),
-        ([[0.0, -1.0], [-1.0, 0.0]], {}, "The distance of 0 and 1 is -1.0"),
+        ([[0.0, np.nan], [np.nan, 0.0]], {}, "The distance of scenarios 0 and 1 is nan"),
+        ([[0.0, -1.0], [-1.0, 0.0]], {}, "The distance of scenarios 0 and 1 is -1.0"),
         ([[0.0, 1.0], [2.0, 0.0]], {}, "has to be symmetric"),
         ([[1.0, 1.0], [1.0, 0.0]], {}, "zeros on its diagonal"),
         ([[0.0, 1.0], [1.0, 0.0]], {"gamma": 0.0}, "`gamma` 0.0"),

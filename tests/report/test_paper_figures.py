@@ -156,8 +156,8 @@ def test_what_cannot_be_drawn_is_one_sentence(drawn, tmp_path):
     for given, said in (
         (("scenario-3",), "choose scenario-1 or scenario-2"),
         (("scenario-2", study), "was not measured by distance, which the figure of scenario-2 shows"),
-        (("scenario-1", study, "--budget", "9"), "--budget: belongs to a search"),
-        (("scenario-1", study, "--seed", "9"), "--seed: belongs to a search"),
+        (("scenario-1", study, "--budget", "9"), "--budget: is only for a new exploration"),
+        (("scenario-1", study, "--seed", "9"), "--seed: is only for a new exploration"),
         (("scenario-1", tmp_path / "none.db"), "none.db"),
     ):
         ended = cornercase("paper", *given, "-o", tmp_path / "out")

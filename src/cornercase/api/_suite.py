@@ -122,8 +122,8 @@ class Suite:
         requirements : path, optional
             TOML or YAML file with further requirements.
         require_from_file : bool, default False
-            Also require what the scenario files require of a run in CARLA's ScenarioRunner. A notice names each such
-            criterion that cannot be decided from a recording.
+            Scenario files can contain criteria for CARLA's ScenarioRunner; use these criteria as requirements, too. A
+            notice names the criteria that cannot be decided from a recording.
         metrics : Metric or str, or sequence of these
             Criticality metrics to store; give a metric of your own as an object. By default the metrics of the
             manifest; without a manifest the metrics in the requirements, or else ``clearance``.

@@ -61,7 +61,8 @@ def _check_value(path: Path, option: Option, value: Any) -> Any:
         raise InputError(f"{path}: '{key}' is not a string; write {key} = \"…\".")
     if option.name == "simulator" and ":" in value:
         raise InputError(
-            f"{path}: 'simulator' has options, which may name programs; give --simulator {value} on the command line."
+            f"{path}: 'simulator' has options, which could start programs; give --simulator {value} on the command"
+            " line."
         )
     return str(path.parent / value) if option.annotation == "Path | str" else value
 
@@ -74,7 +75,8 @@ def _require_registered_driver(path: Path, text: str, option: Option) -> None:
     _, equals, name = text.partition("=")
     if not equals and text.endswith(".toml"):
         raise InputError(
-            f"{path}: '{option.key}' names the file {text}, which may name code; give --sut {text} on the command line."
+            f"{path}: '{option.key}' names the file {text}, which could run code; give --sut {text} on the command"
+            " line."
         )
     if name and not is_registered_driver(name):
         raise InputError(

@@ -36,7 +36,7 @@ def check_sut(
     ego: _Ego = "Ego",
     as_json: opt.Json = False,
 ) -> None:
-    """Check that a system under test is repeatable, asks no impossible motion, and depends on its scenario only.
+    """Check that a system under test is repeatable, requests no impossible motion, and depends on its scenario only.
 
     The exit code is 1 if a check fails.
 

@@ -33,7 +33,7 @@ _DRIVER: Final = re.compile(r"as in \{'([^']*)': '([^']*)'\}")
 def use_option_names(message: str) -> str:
     """Replace Python names in backticks by options and commands: `` `stop_when` `` becomes ``--stop-when``.
 
-    A driver by entity, ``{'Ego': 'normal'}``, becomes ``Ego=normal``.
+    A dictionary of drivers, such as ``{'Ego': 'normal'}``, becomes ``Ego=normal``.
     """
     message = _DRIVER.sub(r"as in \1=\2", message)
     names = _map_names_to_options()

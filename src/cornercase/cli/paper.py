@@ -67,7 +67,9 @@ def paper(
     else:
         for option, is_given in (("--budget", budget is not None), ("--seed", seed != 0), ("--driver", bool(driver))):
             if is_given:
-                raise InputError(f"{option}: belongs to a search; leave it out, or leave out the study {study}.")
+                raise InputError(
+                    f"{option}: is only for a new exploration; leave {option} out, or leave out the study {study}."
+                )
     with open_study(path, readonly=True) as opened:
         for aspect in aspects:
             if aspect not in clustering.ASPECTS and aspect not in opened.meta.metrics:

@@ -71,7 +71,9 @@ def analyze(
         given |= {"--method": method is not None, "--window": window is not None, "--keep-clusters": keep_clusters}
         for option, is_given in given.items():
             if is_given:
-                raise InputError(f"--explore-settings, {option}: give one of them; the page shows many settings.")
+                raise InputError(
+                    f"--explore-settings, {option}: give one of them; the page shows the clusters of many settings."
+                )
         _write_clustering_settings_page(
             study, explore_settings, by, workers=workers, cluster=cluster, critical=critical, memory=memory
         )

@@ -63,7 +63,7 @@ def _format_name_with_options(where: str, name: Any, options: Any) -> str:
     if not isinstance(name, str) or not name.strip():
         raise InputError(f'{where}: is no text; write it as on the command line, as in "normal:horizon=4".')
     if not isinstance(options, Mapping):
-        raise InputError(f"{where}: its options are no table; write options = {{ reaction = 0.3 }}.")
+        raise InputError(f"{where}: 'options' is no table; write options = {{ reaction = 0.3 }}.")
     texts = []
     for key, value in options.items():
         if not isinstance(value, bool | int | float | str):

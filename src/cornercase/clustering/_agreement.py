@@ -81,8 +81,8 @@ def collect_facts(study: StudyFile, outcomes: Sequence[Outcome]) -> dict[str, li
 
     The names are ``"outcome"`` (a text), ``"first"`` (who is first where the paths cross, or ahead in a lane;
     ``"None"`` if ego and other entity collide), ``"ego first"``, ``"collision"``, ``"fault"`` (who is at fault),
-    ``"stopped"``, and ``"first of Ego and C"`` for each further entity C. A study with a threshold, and without Pareto
-    front, also has ``"critical"``. Facts that are the same for all scenarios are left out.
+    ``"stopped"``, and ``"first of Ego and C"`` for each further entity C. ``"critical"`` is added if the study has a
+    threshold and its search was for no Pareto front. Facts that are the same for all scenarios are left out.
     """
     other = outcomes[0].encounter.entity
     firsts = [None if other in {hit.entity for hit in outcome.impacts} else outcome.first for outcome in outcomes]

@@ -174,7 +174,7 @@ def analyze(
 class _AnalysisInputs:
     """Time series and other inputs of all scenarios that were run.
 
-    Inputs are read from the stored digests (downsampled recordings); those that digests lack, from the recordings.
+    Stored digests (downsampled recordings) contain most inputs; the other inputs are read from the recordings.
     """
 
     outcomes: list[Outcome]

@@ -151,7 +151,7 @@ class Bearing(Aspect):
 class EgoProgress(Aspect):
     """Distance travelled by the ego along its own path, and time scaled by 5 m/s, both in m.
 
-    Since time is part of the series, matching two instants costs more, the farther they are apart in time, so waiting
+    Time is part of the series: the farther two instants are apart in time, the more their matching costs. So waiting
     counts. Where the path lies on the map does not count.
     """
 

@@ -255,15 +255,13 @@ class _SpanningTreeEdges:
 
     @property
     def gap_clearness(self) -> float:
-        """Share by which the longest edge within clusters is shorter than the shortest edge between clusters, 0 to
-        1."""
+        """How much shorter the longest edge within clusters is than the shortest edge between them: a share, 0 to 1."""
         if not len(self._across) or not len(self._within):
             return 0.0
         return max(0.0, 1.0 - float(self._within.max() / max(self._across.min(), 1e-300)))
 
     def candidate_radii(self, method: ClusteringMethod) -> Iterable[float]:
-        """Return radii to try: longer than most edges within clusters and, if possible, shorter than edges between
-        them.
+        """Return radii to try: above most edges within clusters, and if possible below the edges between clusters.
 
         One more radius connects all points. For HDBSCAN, 0 is also tried.
         """

@@ -39,7 +39,8 @@ class Candidate:
     score : float
         Objective that ``"auto"`` maximizes; -inf without a search. If the stability is NaN, this is an upper bound.
     n_components, min_samples : int
-        Dimensions of the embedding, and scenarios in a dense neighbourhood; 0 in a study of an early version.
+        Dimensions of the embedding, and smallest number of scenarios in a dense neighbourhood. Both are 0 in a study
+        that an early version of cornercase wrote.
     agreement : float
         Match of the candidate's clusters with the clusters expected from the distances, 0 to 1; NaN without a search.
         Each cluster is compared with the most similar cluster of the other clustering by the F-measure. The match is
@@ -83,7 +84,7 @@ class Clustering:
     gamma, eps : float
         Factor of the Gaussian kernel and radius of DBSCAN's neighbourhood, as given or found.
     min_samples : int
-        Number of scenarios in a dense neighbourhood, as given or found.
+        Smallest number of scenarios in a dense neighbourhood, as given or found.
     scale : float
         Median of the distances above 0, by which all distances are divided; 0 if all distances are 0.
     explained : float

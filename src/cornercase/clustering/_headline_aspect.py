@@ -30,7 +30,7 @@ def find_headline_aspect(analyses: Mapping[str, Analysis]) -> str | None:
 
 
 def has_useful_clusters(analysis: Analysis) -> bool:
-    """Return True if an analysis has several clusters and these agree with how the scenarios end.
+    """Return True if an analysis has several clusters, and the clusters agree with how the scenarios end.
 
     Agreement is not required if all scenarios end in the same way.
     """

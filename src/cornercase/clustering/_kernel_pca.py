@@ -26,7 +26,7 @@ class KernelPca:
         self.explained = 1.0
 
     def fit(self, distances: FloatArray) -> Self:
-        """Fit the components to distances, shape (n, n), which the caller has divided by their median."""
+        """Fit the components to distances, shape (n, n), which the caller has divided by their scale (a median)."""
         kernel = self._gaussian_kernel(distances)
         n = len(kernel)
         self._fitted_kernel = kernel

@@ -55,9 +55,9 @@ class LandmarkClustering:
 class PairwiseComparer:
     """Comparison of scenarios by DTW of their downsampled series.
 
-    `stride` is the stride of downsampling. Distances are multiplied by it, since downsampled series have fewer
-    instants. `window` is in downsampled instants. `progress` is the label of a progress bar; None for no bar. `seconds`
-    is the time spent so far.
+    Downsampling keeps every `stride`-th instant, and the last one. A distance is a sum over instants, so distances are
+    multiplied by `stride`, to be comparable to distances of full series. `window` is a number of downsampled instants.
+    `progress` is the label of a progress bar; None for no bar. `seconds` is the time spent so far.
     """
 
     series: Sequence[FloatArray]
@@ -98,13 +98,13 @@ class PairwiseComparer:
 
 
 def draw_landmarks(n_scenarios: int) -> IntArray:
-    """Draw landmarks at random, so that they are dense if scenarios are dense; return rising indices of scenarios."""
+    """Draw scenarios at random as landmarks, and return their indices in rising order."""
     drawn = np.random.default_rng(0).choice(n_scenarios, min(N_LANDMARKS, n_scenarios), replace=False)
     return np.sort(drawn).astype(np.int64)
 
 
 def cluster_by_landmarks(comparer: PairwiseComparer, model: ScenarioClustering) -> LandmarkClustering:
-    """Cluster the landmarks with the settings of `model`, and assign all other scenarios to their clusters."""
+    """Cluster the landmarks with the settings of `model`, and assign each other scenario to one of these clusters."""
     landmarks = draw_landmarks(len(comparer.series))
     landmark_distances = comparer.distances_between(landmarks)
     fitted = ScenarioClustering(**{**model.get_params(), "landmarks": None}).fit(landmark_distances)
@@ -123,7 +123,8 @@ def assign_by_landmarks(
 ) -> LandmarkClustering:
     """Assign scenarios to the clusters of an earlier analysis by their distances to landmarks.
 
-    `existing` are these clusters. The landmarks stay in the clusters `labels`, shape (m,).
+    `existing` are the clusters of the earlier analysis. `labels`, shape (m,), are the clusters of the landmarks; a
+    landmark stays in its cluster.
     """
     dimensions = existing.embedding.shape[1]
     fitted = ScenarioClustering(

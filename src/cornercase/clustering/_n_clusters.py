@@ -1,4 +1,4 @@
-"""Estimate of the number of clusters: groups that are farther apart than random samples of a single cluster."""
+"""Estimate of the clusters in distances: groups with wider gaps between them than chance leaves in a single cluster."""
 
 from __future__ import annotations
 
@@ -47,25 +47,28 @@ _JOINT_TEST_NEIGHBOURS: Final = 2
 def estimate_clusters(distances: FloatArray) -> IntArray:
     """Divide scenarios into clusters if there is evidence for more than one; otherwise all labels are 0.
 
-    `distances`, shape (n, n), may have any unit. If distances are equal, the order of the scenarios may matter.
+    `distances`, shape (n, n), may have any unit. If some distances are equal, the result may depend on the order of the
+    scenarios.
 
-    The minimum spanning tree of mutual reachability with k neighbours (Campello et al. 2013) merges scenarios, the
-    nearest first. If two groups merge at length r, the strength of the split is the number of neighbours within r of a
-    typical member, in the group in which this number is smaller. Mutual reachability allows a point between the groups
-    hardly more than k neighbours. So strength over k is a ratio of densities, in any number of dimensions. If r exceeds
-    the extent of a group, as for a small group far away, the strength grows with r over the extent. Splits that are no
-    stronger than chance are merged: the weaker group becomes part of the stronger group. Clusters are divided again
-    until no cluster divides.
+    The minimum spanning tree of mutual reachability with k neighbours (Campello et al. 2013) merges scenarios into
+    groups, the nearest first. When two groups merge over an edge of length r, there is a gap of width r between them,
+    and the strength of this split says how clear the gap is. For each group, count the neighbours that a typical member
+    has within r; the strength is the smaller of the two counts. A point in the gap has hardly more than k neighbours
+    within r, so strength divided by k compares the density in the groups to the density in the gap, in any number of
+    dimensions. If r is larger than a group, as for a small group far away, the count is multiplied by r divided by the
+    extent of the group. A split that is no stronger than chance separates nothing: its weaker group becomes part of the
+    stronger group. Each cluster is then divided in the same way, until no cluster divides.
 
-    The strength of the strongest split by chance depends on the number of scenarios and on their intrinsic dimension,
-    which is estimated from distances to neighbours (Levina and Bickel 2005).
+    How strong a split can be by chance depends on the number of scenarios and on their intrinsic dimension. This
+    dimension is estimated from distances to neighbours (Levina and Bickel 2005).
 
     Among few scenarios, each single split may be unclear although all splits together are clear. So for up to a hundred
-    scenarios all gaps are first tested together. Random gaps between points on a line are exponential; in d dimensions
-    the gap to the power of d is exponential. For each number of groups, the test uses the sum of the logarithms of the
-    gaps, as multiples of the longest step within a group. By chance this sum follows at most a gamma distribution. If
-    any of these sums is too large for chance, the number of groups with the largest product of sum and silhouette is
-    chosen.
+    scenarios all gaps are first tested together. By chance, gaps between points on a line have an exponential
+    distribution; in d dimensions the gap to the power of d has this distribution. Each number of groups is tested: each
+    gap is divided by the longest step within a group, and the logarithms of these ratios are added up. By chance this
+    sum, suitably scaled, is hardly larger than a gamma distribution allows. If at least one number of groups has a sum
+    that is too large for chance, the scenarios are divided. The number of groups is then the one with the largest
+    product of sum and silhouette.
     """
     n = len(distances)
     labels = np.zeros(n, dtype=np.int64)
@@ -87,7 +90,7 @@ def estimate_clusters(distances: FloatArray) -> IntArray:
 
 
 def _test_gaps_jointly(distances: FloatArray, min_gap: float) -> IntArray:
-    """Divide up to a hundred scenarios into groups if the gaps between groups, taken together, exceed chance."""
+    """Divide up to a hundred scenarios into groups if all gaps between groups together are too wide for chance."""
     n = len(distances)
     undivided = best = np.zeros(n, dtype=np.int64)
     if not 2 * MIN_JOINT_MEMBERS <= n <= MAX_JOINT_TEST:
@@ -123,9 +126,9 @@ def _test_gaps_jointly(distances: FloatArray, min_gap: float) -> IntArray:
 
 
 def _split_by_density(distances: FloatArray, min_gap: float) -> IntArray:
-    """Split scenarios into groups with a gap in density between them; return labels from 0.
+    """Split scenarios into groups with sparse gaps between them; return the group of each scenario, from 0.
 
-    Several numbers of neighbours are tried, the smallest first, until the scenarios divide.
+    Mutual reachability is tried with several numbers of neighbours, the smallest first, until one gives several groups.
     """
     n = len(distances)
     if n >= 2 * MIN_MEMBERS:
@@ -149,7 +152,7 @@ def _split_by_density(distances: FloatArray, min_gap: float) -> IntArray:
 def _split_strength_by_chance(n: int, n_neighbours: int, dimension: float) -> float:
     """Return the strength of the strongest split that is expected by chance within a single cluster.
 
-    The result is at least twice the number of neighbours, which is a ratio of densities of two.
+    The result is at least ``2 * n_neighbours``: a clear group must be at least twice as dense as the gap beside it.
     """
     by_dimension = [a * math.log(n) + b + c * max(n_neighbours - 6, 0) for a, b, c in CHANCE_STRENGTH]
     return max(float(np.exp(np.interp(dimension, [1.0, 2.0, 3.0], np.log(by_dimension)))), 2.0 * n_neighbours)
@@ -158,7 +161,8 @@ def _split_strength_by_chance(n: int, n_neighbours: int, dimension: float) -> fl
 def _lowest_accepted_strength(strengths: list[float], fair: float, clear: float) -> float:
     """Return the smallest strength at which a split is accepted.
 
-    This is `clear`, or less if a split of at least the strength `fair` is much stronger than all weaker splits.
+    `strengths` are those of all splits. The result is `clear`. Exception: if a split has at least the strength `fair`
+    and is at least twice as strong as the next weaker split, its strength is the result.
     """
     accepted = clear
     descending = [*sorted(strengths, reverse=True), 0.0]
@@ -235,10 +239,10 @@ class _ReachabilityHierarchy:
     def _estimate_typical_members_within(self, members: IntArray, others: IntArray, radius: float) -> float:
         """Estimate the number of members within `radius` of a typical member.
 
-        The number is extrapolated if `radius` exceeds the extent of the members. It is limited by the number within
-        `radius` of the members nearest to the `others`. Otherwise a dense part that touches a sparse part, or a few
-        points at a sparse edge, would count as separate clusters, since most members of a dense part lie close
-        together.
+        If `radius` exceeds the extent of the members, the number is extrapolated. The number is limited to about what
+        the members nearest to the `others` have within `radius`. Without this limit, a dense part that touches a sparse
+        part would count as a cluster of its own, since most members of a dense part lie close together; so would a few
+        points at a sparse edge.
         """
         distances = self._distances[np.ix_(members[:: math.ceil(len(members) / _MAX_SAMPLED_MEMBERS)], members)]
         typical = float(np.median((distances <= radius).sum(axis=1)))

@@ -30,19 +30,21 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
 
     The distances d become a Gaussian kernel ``exp(-gamma * (d / scale)**2)``, as in [1]_. Kernel PCA [2]_ projects the
     kernel to a few dimensions, and DBSCAN [3]_ finds the dense regions there. `scale` is the median distance of two
-    scenarios that differ. So `gamma` has no unit and means the same for trajectories in metres and courses in seconds:
-    at 1 the kernel has fallen to 1/e at the median distance.
+    scenarios that differ. So `gamma` has no unit and means the same for trajectories in metres and for courses of a
+    metric in seconds. With `gamma` 1, the kernel has fallen to 1/e at the median distance; the larger `gamma`, the
+    narrower the kernel.
 
     Parameters
     ----------
     gamma : float or "auto", default "auto"
-        Kernel width, without unit.
+        Factor in the exponent of the kernel, without unit.
     eps : float or "auto", default "auto"
-        Radius of DBSCAN's neighbourhood in the embedding, without unit; for HDBSCAN the distance below which clusters
-        are not divided.
+        Radius of DBSCAN's neighbourhood in the embedding, without unit. HDBSCAN keeps parts of a cluster together if
+        their distance is below `eps`.
     min_samples : int or "auto", default "auto"
-        Number of scenarios that make a neighbourhood dense, including the scenario at its centre. ``"auto"`` is
-        ``ln(n)``, rounded up and at least 3 [4]_, or 3, or twice ``ln(n)``, if this shows the clusters better.
+        Number of scenarios that make a neighbourhood dense, including the scenario at its centre. ``"auto"`` first
+        tries ``ln(n)`` of the n scenarios, rounded up and at least 3 [4]_. It takes 3 or twice the first number instead
+        if the clusters then show better.
     n_components : int or "auto", default "auto"
         Dimensions of the embedding; the paper takes 3. ``"auto"`` is 3, or 6, 12 or 24 if there are more clusters than
         three dimensions can separate.
@@ -50,8 +52,8 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
         Algorithm that finds the clusters in the embedding. HDBSCAN [5]_ allows clusters of different density.
     landmarks : int, "auto" or None, default "auto"
         Number of scenarios, the landmarks, that span the kernel space. All other scenarios are projected onto this
-        space [10]_ and join the cluster of the nearest dense landmark. None: all scenarios span the space. ``"auto"``:
-        2,000 if there are more than 5,000 scenarios, otherwise all.
+        space [10]_ and join the cluster of the nearest dense landmark. None: there are no landmarks, and all scenarios
+        span the space. ``"auto"``: 2,000 landmarks if there are more than 5,000 scenarios, otherwise no landmarks.
 
     Attributes
     ----------
@@ -81,9 +83,9 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
     ``"auto"`` has two steps.
 
     First, the clusters are estimated from the given distances. The hierarchy of mutual reachability [5]_ merges
-    scenarios, the nearest first. Two groups stay separate if the gap between them is wide: in each group, clearly more
-    neighbours of a typical member are within the width of the gap than would be by chance in a single cluster. Chance
-    depends on the number of scenarios and on their intrinsic dimension [7]_. A gap of less than 5 % of the median
+    scenarios, the nearest first. Two groups stay separate if the gap between them is wide: in each group, a typical
+    member has clearly more neighbours within the width of the gap than chance gives in a single cluster. What chance
+    gives depends on the number of scenarios and on their intrinsic dimension [7]_. A gap of less than 5 % of the median
     distance does not separate clusters. So a single cluster is the default, and each further cluster needs evidence. A
     cluster can be as small as four scenarios if they are far enough from the other scenarios. For up to a hundred
     scenarios, all gaps are first tested together, since each single gap may be unclear. In this test, a cluster can be
@@ -92,11 +94,11 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
     Second, the search looks for settings with which kernel PCA and DBSCAN find these expected clusters: `gamma` on a
     fixed grid, and `eps` between the distances within clusters and the distances between clusters. The score of a
     candidate is the mean F-measure of its clusters and the expected clusters, less the share of noise. Up to 0.1 is
-    subtracted if the same settings find other clusters in random parts of 80 % of the scenarios [9]_. A small term is
-    added for a wide gap in the embedding. The best score wins. All scenarios are one cluster if there are fewer than 5
-    scenarios, or if the clusters of the best candidate and of the random parts have a mean adjusted Rand index below
-    0.5. `Candidate.agreement` is how well each candidate matches the expected clusters. DBCV [6]_ and silhouette [8]_
-    are computed for comparison only.
+    subtracted if the same settings find other clusters in random parts of 80 % of the scenarios [9]_. Up to 0.02 is
+    added for a wide gap between the clusters in the embedding. The highest score wins. All scenarios are one cluster if
+    there are fewer than 5 scenarios, or if the clusters of the best candidate and of the random parts have a mean
+    adjusted Rand index below 0.5. `Candidate.agreement` is how well each candidate matches the expected clusters. DBCV
+    [6]_ and silhouette [8]_ are computed for comparison only.
 
     References
     ----------
@@ -154,7 +156,7 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
         Raises
         ------
         InputError
-            Not a distance matrix, or a parameter out of range.
+            The array is no distance matrix, or a setting is out of range.
         """
         self.check_settings()
         matrix = _check_distance_matrix(distances)
@@ -242,8 +244,10 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
     def predict(self, distances: npt.ArrayLike) -> IntArray:
         """Assign new scenarios to the existing clusters, without changing the clusters.
 
-        As in DBSCAN, a scenario joins the cluster of the nearest dense scenario in its neighbourhood. A scenario is
-        noise if no dense scenario is in its neighbourhood.
+        As in DBSCAN, a scenario is dense if at least `min_samples` scenarios are within the radius `eps`. A new
+        scenario joins the cluster of the nearest dense scenario, or is noise if no dense scenario is within `eps`. With
+        HDBSCAN, every scenario in a cluster counts as dense, and the radius is the largest distance from a scenario in
+        a cluster to its `min_samples`-th neighbour, itself being the first.
 
         Parameters
         ----------
@@ -263,7 +267,7 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
         return assign_to_nearest_cluster(self.transform(distances), self._fitted_clustering)
 
     def kernel_approximation_error(self, distances: FloatArray, distances_between_new: FloatArray) -> float:
-        """Return the relative error of the kernel between new scenarios, approximated from the clustered scenarios.
+        """Return the relative error of approximating the kernel between new scenarios from the clustered scenarios.
 
         Parameters
         ----------
@@ -294,7 +298,7 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
         )
 
     def _extend_to_all(self, matrix: FloatArray) -> Clustering:
-        """Return the clusters of the landmarks, extended to all scenarios."""
+        """Assign all scenarios to the clusters of the landmarks; return the clusters of all scenarios."""
         landmarks = self._kernel_rows
         embedding = self._space.transform(matrix[:, landmarks] / self._scale)
         embedding[landmarks] = self._fitted_clustering.embedding
@@ -345,7 +349,7 @@ def cluster(
     Raises
     ------
     InputError
-        Not a distance matrix, or a parameter out of range.
+        The array is no distance matrix, or a setting is out of range.
 
     See Also
     --------
@@ -380,7 +384,9 @@ def _check_distance_matrix(distances: npt.ArrayLike) -> FloatArray:
         raise InputError(f"A distance matrix of shape {array.shape} is not square; give shape (n, n), n >= 1.")
     if not np.isfinite(array).all() or (array < 0).any():
         i, j = np.argwhere(~np.isfinite(array) | (array < 0))[0]
-        raise InputError(f"The distance of {i} and {j} is {array[i, j]}; give finite distances of at least 0.")
+        raise InputError(
+            f"The distance of scenarios {i} and {j} is {array[i, j]}; give finite distances of at least 0."
+        )
     if not np.array_equal(array, array.T) or array.diagonal().any():
         raise InputError("The distance matrix has to be symmetric, with zeros on its diagonal.")
     return array

@@ -16,8 +16,8 @@ _NOISE = -1
 def dbscan_labels(points, eps, min_samples, labels):
     """Write the DBSCAN cluster of each point to `labels`, shape (n,); -1 is noise.
 
-    `points` have shape (n, k). Clusters are numbered in the order of their first dense points. A border point belongs
-    to the first cluster that has a dense point in its neighbourhood.
+    `points` have shape (n, k). Clusters are numbered in the order of their first dense points. A border point (not
+    dense, but within `eps` of a dense point) belongs to the first cluster with a dense point so near.
     """
     count, dimensions = points.shape
     square = eps * eps
