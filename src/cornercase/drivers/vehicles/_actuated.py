@@ -223,6 +223,6 @@ class SteeredVehicle(ActuatedVehicle):
         inputs = [np.ascontiguousarray(array, dtype=np.float64) for array in (acceleration, steering, friction)]
         arguments = self._vehicles, table, *inputs, float(time_step), np.ascontiguousarray(active)
         if not step_vehicles.is_interpreted(self.kind, VEHICLE_KERNELS.addresses, *arguments):
-            VEHICLE_KERNELS.link([self.kind], self._vehicles, *MOTION_INPUTS)
+            VEHICLE_KERNELS.compile_needed([self.kind], self._vehicles, *MOTION_INPUTS)
         step_vehicles(self.kind, VEHICLE_KERNELS.addresses, *arguments)
         return PlanarMotion(*np.ascontiguousarray(table.T))
