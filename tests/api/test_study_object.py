@@ -351,7 +351,7 @@ def test_what_is_no_simulator_and_no_driver_is_named(problem, tmp_path):
     with pytest.raises(cc.InputError, match="`simulator`: Builtin is a class; give an object of it"):
         cc.Study.create(tmp_path / "study.db", problem, Builtin)  # type: ignore[arg-type]
     for driver, says in (
-        (3, "`drivers` Ego=3: give the name of a driver, or an instance"),
+        (3, "`drivers` Ego=3: give the name of a driver, or a driver object"),
         (Own, "`drivers` Ego: Own is a class; give an object of it, as in drivers="),
     ):
         with pytest.raises(cc.InputError, match=says):

@@ -239,7 +239,7 @@ def test_a_file_never_names_a_program(folder):
     shutil.copy(cut_in.parent / "motorway.xodr", folder)
     simulated = cornercase("simulate", scenario, "-o", folder / "r.csv")
     assert simulated.returncode == 2
-    assert "a program that a file names is not run, so give it yourself with --driver." in simulated.stderr
+    assert "but a program named in a file is not run; give the driver with --driver." in simulated.stderr
     (folder / "study.toml").write_text('driver = ["Ego=exec:touch pwned"]\n')
     explored = cornercase("explore", X, "--config", folder / "study.toml", "-o", folder / "s.db")
     assert explored.returncode == 2

@@ -104,7 +104,7 @@ def test_resuming_and_more_workers_give_the_same_bytes(folder, tmp_path):
         (["Ego.reacton=0.1:1"], "own_aeb:Aeb", "no option 'reacton' that takes numbers; did you mean 'reaction'?"),
         (["Eg.reaction=0.1:1"], "own_aeb:Aeb", "has no entity 'Eg' with a driver; did you mean 'Ego.reaction'?"),
         (["Truck.reaction=0.1:1"], "own_aeb:Aeb", "is a parameter of the driver of Truck, but Truck has no driver"),
-        (["Ego.reaction=0.1:1"], "own_aeb:Aeb:reaction=0.3", "is given with a fixed 'reaction'; leave it out there."),
+        (["Ego.reaction=0.1:1"], "own_aeb:Aeb:reaction=0.3", "is given with a fixed 'reaction'; leave 'reaction' out"),
         (["Ego.reaction=-1:1"], "own_aeb:Aeb", "Ego.reaction=-1: reaction has to be 0 or more."),
         (["Ego.reaction=0.1:1", "Ego.driver.reaction=0.1:1"], "own_aeb:Aeb", "is the same option as Ego.reaction"),
         (["Ego.reaction=0.1:1"], "", "the driver of Ego (normal) has no option 'reaction'"),

@@ -43,7 +43,10 @@ def require_known_aspect(study: StudyFile, aspect: str) -> None:
 
 
 def create_aspect(name: str) -> Aspect:
-    """Create a registered aspect, and check its name and unit, since it may come from another package."""
+    """Create a registered aspect, and check its name and unit.
+
+    The class of the aspect may come from another package, so the name or the unit may be missing or invalid.
+    """
     try:
         aspect = ASPECTS.create(name)
         unit, _ = aspect.unit, aspect.name
@@ -82,8 +85,8 @@ def read_series(
 def series_from_digest(digest: ScenarioDigest, aspect: Aspect, other_index: int) -> FloatArray | None:
     """Return the series of one scenario for an aspect from its digest (downsampled recording), shape (M, k).
 
-    The result is None if the digest does not contain it. `other_index` is the index of the entity that the aspect looks
-    at, among the other entities of the study.
+    The result is None if the series of this aspect cannot be read from a digest. `other_index` is the index, among the
+    other entities of the study, of the entity that the aspect looks at in addition to the ego.
     """
     position, bearing = digest.position_and_bearing(other_index)
     # Another package may have replaced an aspect.
@@ -115,13 +118,14 @@ def compute_aspect_series(
         series = np.asarray(values).astype(np.float64, casting="same_kind")
     except (TypeError, ValueError):
         raise InputError(
-            f"The aspect '{aspect.name}' returns no numbers for scenario {scenario} of {study.path}; it has to return"
-            f" one finite row for each of {len(recording.time)} instants."
+            f"The aspect '{aspect.name}' returns no numbers for scenario {scenario} of {study.path}; an aspect has"
+            f" to return one row of finite numbers for each of {len(recording.time)} instants."
         ) from None
     if series.ndim != 2 or len(series) != len(recording.time) or not series.size or not np.isfinite(series).all():
         raise InputError(
-            f"The aspect '{aspect.name}' returns shape {series.shape} for scenario {scenario} of {study.path}, or"
-            f" values that are not finite; it has to return one finite row for each of {len(recording.time)} instants."
+            f"The aspect '{aspect.name}' returns shape {series.shape} for scenario {scenario} of {study.path}, possibly"
+            f" with NaN or infinite values; an aspect has to return one row of finite numbers for each of"
+            f" {len(recording.time)} instants."
         )
     return series
 
@@ -137,13 +141,16 @@ def require_same_channels(study: StudyFile, aspect: str, ids: Sequence[int], ser
 
 
 def distance_unit(study: StudyFile, aspect: str) -> str:
-    """Return the unit of the series of an aspect, which is also the unit of DTW distances; "1" for none."""
+    """Return the unit of the series and DTW distances of an aspect; "1" if they have no unit."""
     require_known_aspect(study, aspect)
     return study.meta.create_metric(aspect).unit if aspect in study.meta.metrics else create_aspect(aspect).unit
 
 
 def window_in_instants(times: Sequence[FloatArray], window_seconds: float | None) -> int | None:
-    """Convert a DTW window in s into instants, for `cornercase.dtw.distance_matrix`; None for no window."""
+    """Convert a DTW window from s to a number of instants, for `cornercase.dtw.distance_matrix`; None for no window.
+
+    The window is the largest difference in time of two instants that Dynamic Time Warping (DTW) may match.
+    """
     if window_seconds is None:
         return None
     if (

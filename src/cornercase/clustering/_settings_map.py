@@ -40,13 +40,15 @@ class SettingsMap:
     The grid has g values of `gammas` (kernel width), e values of `eps` (neighbourhood radius) and m values of
     `min_samples` (scenarios in a dense neighbourhood).
 
-    `rows`, shape (n,), are the rows of the scenarios in the analysis: all rows, a random sample, or the landmarks.
+    `rows`, shape (n,), are the rows of the scenarios in the analysis: all rows, a random sample, or the landmarks
+    (random scenarios with which all others were compared).
     `labels` has shape (m, g, e, n), `embeddings` has shape (g, n, 3).
 
     All other arrays have shape (m, g, e). `noise` is the share of scenarios in no cluster. `stability` is the agreement
-    with clusters of random parts of the scenarios, NaN for a single group. `agreement` is the adjusted mutual
-    information of clusters and outcomes, NaN if all scenarios end in the same way. `explained` maps each metric to the
-    share of the variance of its scores that the clusters explain, NaN if the scores do not vary.
+    with clusters of random parts of the scenarios, NaN if all scenarios are in one cluster or all are noise.
+    `agreement` is the adjusted mutual information of clusters and outcomes, NaN if all scenarios end in the same way.
+    `explained` maps each metric to the share of the variance of its scores that the clusters explain, NaN if the scores
+    do not vary.
     """
 
     rows: IntArray
@@ -76,7 +78,7 @@ class OutcomesAndScores:
 
     @classmethod
     def from_study(cls, study: StudyFile) -> OutcomesAndScores:
-        """Read the outcomes and scores of all scenarios of a study that ran."""
+        """Read the outcomes and scores of all finished scenarios of a study."""
         other = study.meta.others.index(study.primary_other())
         texts = {scenario: digest.outcomes[other].text for scenario, digest in study.iter_digests(())}
         names = sorted(set(texts.values()))
@@ -111,9 +113,9 @@ def compute_settings_map(
 ) -> SettingsMap:
     """Cluster the scenarios of an analysis with each setting of a grid, from the stored distances.
 
-    The clusters are the same as `analyze` finds with the same settings. For a random sample of the scenarios they are
-    approximate: min_samples is reduced in proportion. `on_gamma` is called with the number of values of gamma done so
-    far.
+    The clusters are the same as `analyze` finds with the same settings. An analysis of more than `max_mapped` scenarios
+    is represented by a random sample; the clusters are then approximate, and min_samples is reduced in proportion to
+    the sample. `on_gamma` is called with the number of values of gamma done so far.
     """
     distances, rows = _sampled_distances(study, analysis, max_mapped)
     order = canonical_order(distances)
@@ -154,9 +156,9 @@ def compute_settings_map(
 
 
 def _sampled_distances(study: StudyFile, analysis: Analysis, max_mapped: int) -> tuple[FloatArray, IntArray]:
-    """Return the distances between at most `max_mapped` scenarios of an analysis, and their rows in the analysis.
+    """Return the distances between at most `max_mapped` scenarios of an analysis, and the rows of these scenarios.
 
-    If the analysis has landmarks, these scenarios are the landmarks.
+    If the analysis has landmarks (random scenarios with which all others were compared), all landmarks are returned.
     """
     if analysis.embedding_error is not None:
         return read_landmark_distances(study, analysis.by), np.asarray(analysis.clustering.landmarks)
@@ -169,8 +171,9 @@ def _sampled_distances(study: StudyFile, analysis: Analysis, max_mapped: int) ->
 class _SettingScorer:
     """Clusters and scores for single settings of the map; each setting is a cell of the map.
 
-    `scaled`, shape (n, n), are distances divided by their scale. `observed` are outcomes and scores of the same
-    scenarios. `share` is the share of the analysed scenarios that are in the sample.
+    `scaled`, shape (n, n), are the distances between the n scenarios on the map, divided by the median distance of the
+    analysis. `observed` are outcomes and scores of these n scenarios. `share` is n divided by the number of scenarios
+    that the analysis clustered.
     """
 
     def __init__(self, scaled: FloatArray, observed: OutcomesAndScores, share: float) -> None:
@@ -188,7 +191,10 @@ class _SettingScorer:
         return cluster_by_density(embedding, eps, self._sampled_min_samples(min_samples), "dbscan")
 
     def score(self, labels: IntArray, gamma: float, eps: float, min_samples: int) -> dict[str, float]:
-        """Return the scores of the clusters of one setting, by name; a single group has no stability."""
+        """Return the scores of the clusters of one setting, by name of the score.
+
+        There is no stability if all scenarios are in one cluster or all are noise.
+        """
         # Many settings find the same clusters.
         key = labels.tobytes()
         if key not in self._scored:
@@ -214,5 +220,5 @@ class _SettingScorer:
         return {_AGREEMENT: agreement, **explained}
 
     def _sampled_min_samples(self, min_samples: int) -> int:
-        """Return `min_samples` for the sample: reduced in proportion, since a sample is less dense."""
+        """Return `min_samples` for the scenarios on the map: reduced in proportion, as a sample is less dense."""
         return max(min(3, min_samples), round(min_samples * self._share))

@@ -18,9 +18,9 @@ RESAMPLED_SHARE: Final = 0.8
 class StabilityScorer:
     """Scorer of the stability of clusters, which clusters ten random parts of 80 % of the scenarios.
 
-    Each part has its own kernel space and at most `max_part_size` scenarios. `distances`, shape (n, n), are divided by
-    their scale. `order`, shape (n,), is an order of the scenarios that depends only on the distances. Source: U. von
-    Luxburg, "Clustering stability: an overview", 2010.
+    A part has at most `max_part_size` scenarios, and kernel PCA is fitted to it alone. `distances`, shape (n, n),
+    are divided by the median distance of the analysis. `order`, shape (n,), is an order of the scenarios that depends
+    only on the distances. Source: U. von Luxburg, "Clustering stability: an overview", 2010.
     """
 
     def __init__(
@@ -58,9 +58,9 @@ class StabilityScorer:
 
 
 def _adjusted_rand_index(labels_a: IntArray, labels_b: IntArray) -> float:
-    """Return the adjusted Rand index of two labellings with values from -1 up.
+    """Return the adjusted Rand index of two arrays of cluster numbers, in which -1 is noise.
 
-    The function of scikit-learn takes 30 times as long, because of its checks.
+    `sklearn.metrics.adjusted_rand_score` takes 30 times as long, because of its checks.
     """
     width = int(labels_b.max()) + 2
     shared = np.bincount((labels_a + 1) * width + labels_b + 1, minlength=(int(labels_a.max()) + 2) * width).reshape(

@@ -36,7 +36,7 @@ class Analysis:
     by : str
         The aspect: one of `cornercase.clustering.ASPECTS`, or the name of a metric.
     unit : str
-        Unit of the distances; ``"1"`` for none.
+        Unit of the distances; ``"1"`` if they have no unit.
     window : float or None
         Largest difference in time, in s, of two instants that Dynamic Time Warping may match; None for any difference.
     ids : ndarray of int64, shape (n,)
@@ -53,8 +53,8 @@ class Analysis:
     stride : int
         Every `stride`-th instant was compared.
     embedding_error : float or None
-        Mean error of the distances between scenarios that are no landmarks, as a share of the mean distance; None if
-        all pairs were compared.
+        None if all pairs of scenarios were compared. Otherwise, all scenarios were compared with a random subset, the
+        landmarks, and all other distances are approximate: their mean error, as a share of the mean distance.
 
     Examples
     --------
@@ -322,9 +322,9 @@ def read_distances(study: StudyFile | Path | str, by: str) -> Distances:
     Returns
     -------
     ndarray of float64, shape (n, n), or EmbeddedDistances
-        Distances by Dynamic Time Warping between the scenarios in `Analysis.ids`, in the unit of the aspect. If
-        scenarios were compared with landmarks only, the distances are computed on demand from an embedding; index them
-        like a matrix.
+        Distances by Dynamic Time Warping between the scenarios in `Analysis.ids`, in the unit of the aspect. If all
+        scenarios were compared only with a random subset (landmarks), an `EmbeddedDistances` computes the distances on
+        demand from an embedding; index the object like a matrix.
 
     Raises
     ------

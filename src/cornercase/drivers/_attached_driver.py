@@ -54,8 +54,8 @@ _STATE: Final = ("x", "y", "heading", "speed", "acceleration")
 class DriverError(Exception):
     """Failure of a driver that decides for several scenarios at once: an exception, or no valid acceleration.
 
-    `error` is the error of the scenario at fault. If `can_bisect`, runs with half of the scenarios can find this
-    scenario; otherwise only runs of single scenarios can.
+    The simulator simulates these scenarios again in smaller batches, so that only the scenario at fault fails: in two
+    halves if `can_bisect`, else one by one. `error` is the error that a single scenario ends with.
     """
 
     def __init__(self, error: SimulationError, splits: bool) -> None:
@@ -79,8 +79,8 @@ class AttachedDriver:
     """Driver of a simulated entity, with its sensors and its vehicle model.
 
     `limit_notices` has one sentence, without full stop, for each limit that the driver exceeded: a limit of the
-    vehicle, or a lane change to a side without a lane. The text after a semicolon may differ between notices about the
-    same limit.
+    vehicle, or a lane change to a side without a lane. Notices about the same limit in several simulations are equal up
+    to the semicolon; the details after the semicolon, such as the time, may differ.
     """
 
     def __init__(self, driver: Driver, entity: str) -> None:
@@ -102,13 +102,13 @@ class AttachedDriver:
     def sees_start_of_step(self) -> bool:
         """True if the driver is given the traffic at the start of a step, before scenario actions move entities.
 
-        Other drivers are given the traffic after the actions of the step, as compiled drivers are.
+        This is so for a `DrivingFunction`. Any other driver is given the traffic after the actions of the step.
         """
         return isinstance(self.driver, DrivingFunction)
 
     @property
     def compiled_vehicle(self) -> ActuatedVehicle | None:
-        """Vehicle model of the driver if compiled code can move it; None without a model, or for a class of a user."""
+        """Vehicle model of the driver if compiled code can move it; None without a model, or for a user's own class."""
         is_built = isinstance(self.vehicle, ActuatedVehicle) and is_built_in(type(self.vehicle))
         return cast(ActuatedVehicle, self.vehicle) if is_built else None
 
@@ -129,7 +129,8 @@ class AttachedDriver:
     def start(self, start: Start) -> None:
         """Reset driver, sensors and vehicle before N scenarios are simulated together; raises `DriverError`.
 
-        If the driver cannot have other parameters in each scenario, the parameters must be the same in all scenarios.
+        An object of a user's `Driver` class drives in all N scenarios with the same parameters, so the parameters must
+        not differ between the scenarios.
         """
         self._start = start
         parameters = split_parameters(self._entity, self._given, start.parameters)
@@ -221,7 +222,7 @@ class AttachedDriver:
     def _fail_invalid_values(
         self, rows: BoolArray, values: FloatArray, what: str, time: float, failures: dict[int, SimulationError]
     ) -> None:
-        """Add a failure for each scenario of `rows`: the driver's value is not `what`, such as "an angle in rad"."""
+        """Add a failure for each scenario of `rows`: the driver did not return `what`, such as "an angle in rad"."""
         for n in np.flatnonzero(rows).tolist():
             returned = f"{self._full_name} returned {values[n]:g}{format_time_of_failure(time)}"
             failures.setdefault(n, PluginError(f"{returned}, which is not {what}"))
@@ -291,7 +292,7 @@ class AttachedDriver:
         return clipped
 
     def _note_exceeded_steering(self, steering: FloatArray, rows: BoolArray, time: float) -> None:
-        """Note, once, a steering angle beyond the limit of the front wheels; `VehicleMover` limits the angle."""
+        """Add one notice if a steering angle exceeds the limit of the front wheels; `VehicleMover` limits the angle."""
         bound = self._start.body.max_steering
         if "steering" in self.limit_notices:
             return

@@ -66,7 +66,10 @@ class DrivenPath:
 
     @cached_property
     def rows(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Distance, x, y, heading for kernels, shape (1, P) or (N, P), and largest sample spacing, (1,) or (N,)."""
+        """Distance, x, y and heading, shape (1, P) or (N, P), and largest distance between samples, shape (1,) or (N,).
+
+        Compiled functions take the path in this form.
+        """
         columns = (self.distance, self.x, self.y, self.heading)
         distance, x, y, heading = (np.ascontiguousarray(np.atleast_2d(column)) for column in columns)
         return distance, x, y, heading, np.hypot(np.diff(x), np.diff(y)).max(axis=1)
@@ -105,7 +108,7 @@ class Situation:
     active : ndarray of bool, shape (N,)
         True in the scenarios in which the entity is driven along `path` in this step.
     others_name : tuple of str, length A
-        Names of the other entities; false objects of a sensor have names of their own.
+        Names of the other entities. An object that a sensor reports though it does not exist also has a name.
     signals : mapping of str to ndarray of str, shape (N,)
         State of each traffic signal by its name, as the scenario file writes it.
 

@@ -1,4 +1,4 @@
-"""Drivers whose decisions are compiled, and fleets: arrays with the state of several drivers, for kernels."""
+"""Drivers whose decisions are compiled, and fleets: the state of several drivers as arrays for compiled functions."""
 
 from __future__ import annotations
 
@@ -49,7 +49,8 @@ _ROUTE_LIMITS: Final = [Behaviour._fields.index(name) for name in ("lateral_acce
 class CompiledDriver(VariedDriver):
     """Base class of drivers whose decisions are compiled.
 
-    A driver keeps its state in a `Fleet`, arrays for kernels: in a fleet of its own, or with other drivers in one.
+    A driver keeps its state in the arrays of a `Fleet`, which compiled functions read: at first in a fleet of its own,
+    after `attach_to_fleet` in a fleet that several drivers share.
     """
 
     kind: ClassVar[int]
@@ -59,7 +60,7 @@ class CompiledDriver(VariedDriver):
     """Values of the parameters, in the order that this kind of driver expects."""
 
     def start(self, scenarios: int, others: int) -> None:
-        """Reset all state before a number of `scenarios`, with a number of `others` (other entities) in each."""
+        """Reset all state before `scenarios` scenarios are simulated, each with `others` other entities."""
         self._fleet = _empty_fleet(1, scenarios, others)
         self._fleet.kind[0] = self.kind
         self._fleet.parameters[0, :, : len(self.parameters)] = self.parameters
@@ -72,7 +73,7 @@ class CompiledDriver(VariedDriver):
             self._fleet.parameters[0, n, : len(self.parameters)] = self.with_options(**changed).parameters
 
     def attach_to_fleet(self, fleet: Fleet, row: int) -> None:
-        """Move the driver's state into the arrays of a fleet; the driver keeps views of them.
+        """Move the driver's state into the arrays of a fleet; from then on, the driver uses its rows of these arrays.
 
         Parameters
         ----------
@@ -130,12 +131,12 @@ class CompiledDriver(VariedDriver):
 
 
 def is_compiled(driver: Driver) -> TypeGuard[CompiledDriver]:
-    """Check whether compiled code makes a driver's decisions; not so if a derived class overrides `acceleration`."""
+    """Check whether compiled code makes a driver's decisions; False if a derived class overrides `acceleration`."""
     return isinstance(driver, CompiledDriver) and type(driver).acceleration is CompiledDriver.acceleration
 
 
 def compile_fleet_kernels(fleet: Fleet) -> None:
-    """Compile the kernels of a fleet's drivers and vehicles; to be called before compiled code uses the fleet."""
+    """Compile the functions that decide for the drivers of a fleet and move its vehicles; call this before use."""
     DRIVER_KERNELS.compile_needed(fleet.kind.tolist(), fleet, *DECISION_INPUTS)
     if len(fleet.vehicles.state):
         VEHICLE_KERNELS.compile_needed(fleet.vehicle_kind.tolist(), fleet.vehicles, *MOTION_INPUTS)
@@ -175,13 +176,13 @@ def build_fleet(
     vehicles: Sequence[ActuatedVehicle | None] = (),
     friction: FloatArray | None = None,
 ) -> Fleet:
-    """Create a fleet (arrays with the state of started drivers), which kernels and `Driver.acceleration` share.
+    """Create a fleet: arrays with the state of started drivers, for compiled functions and for `Driver.acceleration`.
 
-    The state of the drivers moves into the fleet, and the drivers keep views. None stands for a driver without kernels.
-    `driven_rows` has the index of each driver's entity among all E entities. `length`, `width` and `center_x` (E,) are
-    the boxes of all entities in m. `vehicles` has the started vehicle model of each driver, or None; its state moves,
-    too. `friction` (N,) is the friction coefficient of the road in each scenario, and may change later. The new fleet
-    has no routes.
+    The state of compiled drivers and of their vehicle models moves into the fleet. `drivers` may also have None, or
+    drivers that are not compiled. `driven_rows` has the index of each driver's entity among all E entities. `length`,
+    `width` and `center_x` (E,) describe the boxes of all entities in m. `vehicles` has the started vehicle model of
+    each driver, or None. `friction` (N,) is the friction coefficient of the road in each scenario; the simulator may
+    change the values later. The new fleet has no routes.
     """
     fleet = _empty_fleet(len(drivers), scenarios, max(len(object_types) - 1, 0))
     fleet = _add_vehicles(fleet, vehicles, np.ones(scenarios) if friction is None else friction)
@@ -195,10 +196,10 @@ def build_fleet(
 
 
 def set_route(fleet: Fleet, driver: int, track: int, path: DrivenPath) -> Fleet:
-    """Plan a driver's route along a path, and return the fleet with this route; its arrays may be new.
+    """Plan a driver's route along a path, and return the fleet with this route; the given fleet is then out of date.
 
-    `track` is the number of the path; an earlier route along this track is replaced. If the path or the driver's limits
-    differ between scenarios, each scenario has a route of its own.
+    `track` is the number that the caller gives the path; an earlier route with this number is replaced. If the path or
+    the driver's limits differ between scenarios, each scenario has a route of its own.
     """
     limits = fleet.parameters[driver][:, _ROUTE_LIMITS]
     is_same_for_all = path.distance.ndim == 1 and bool((limits == limits[:1]).all())
@@ -216,9 +217,10 @@ def set_route(fleet: Fleet, driver: int, track: int, path: DrivenPath) -> Fleet:
 
 
 def _plan_cached_routes(path: DrivenPath, limits: FloatArray, rows: int) -> tuple[FloatArray, FloatArray]:
-    """Return `Routes.points` and `Routes.measures` of `rows` scenarios; a single route along a lane is cached.
+    """Return `Routes.points` and `Routes.measures` of a route that has `rows` rows.
 
-    `limits` (N, 2): lateral acceleration and deceleration of the driver in m/s².
+    `limits` (N, 2): lateral acceleration and deceleration of the driver in m/s². A route that is the same in all
+    scenarios has one row, and is cached.
     """
     if path.distance.ndim > 1 or rows > 1:
         return _measure_route(path, limits[:rows])
@@ -235,7 +237,7 @@ def _measure_route(path: DrivenPath, limits: FloatArray) -> tuple[FloatArray, Fl
 
 
 def _append_empty_route(routes: Routes, driver: int, track: int, rows: int, samples: int) -> Routes:
-    """Return the routes with `rows` more rows of `samples` points, for a driver's route along path number `track`."""
+    """Return the routes and an empty one for path number `track`, which has `rows` rows of `samples` points."""
     padding = ((0, 0), (0, max(track + 1 - routes.row.shape[1], 0)))
     row, counts = np.pad(routes.row, padding, constant_values=-1), np.pad(routes.rows, padding)
     row[driver, track], counts[driver, track] = len(routes.begin), rows
@@ -292,7 +294,10 @@ def _empty_fleet(drivers: int, scenarios: int, others: int) -> Fleet:
 
 
 def _add_vehicles(fleet: Fleet, vehicles: Sequence[ActuatedVehicle | None], friction: FloatArray) -> Fleet:
-    """Return an empty fleet with the vehicle models of its drivers (None: no model), which then use its arrays."""
+    """Return an empty fleet with arrays for the state of the vehicle models, and make the models use these arrays.
+
+    `vehicles` has the model of each driver, None without a model.
+    """
     equipped = [(d, vehicle) for d, vehicle in enumerate(vehicles) if vehicle is not None]
     if equipped:
         tables = [vehicle.tables for _, vehicle in equipped]
@@ -310,7 +315,10 @@ def _add_vehicles(fleet: Fleet, vehicles: Sequence[ActuatedVehicle | None], fric
 
 
 def set_half_widths(fleet: Fleet, driver: int, track: int, half_widths: FloatArray) -> Fleet:
-    """Add half the lane width in m at each sample of path number `track`; the caller must keep the array alive."""
+    """Return the fleet with half the lane width in m at each sample of path number `track`.
+
+    The fleet only has the address of the array `half_widths`, so the caller must keep a reference to the array.
+    """
     addresses = np.pad(fleet.half_widths, ((0, 0), (0, max(track + 1 - fleet.half_widths.shape[1], 0))))
     addresses[driver, track] = memory_address(half_widths)
     return fleet._replace(half_widths=addresses)

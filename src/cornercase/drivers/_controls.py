@@ -75,7 +75,7 @@ class Trajectory:
         if not np.isfinite(np.stack(columns)).all():
             raise ValueError("a trajectory needs finite numbers")
         if np.abs(np.stack((self.x, self.y))).max() > _FARTHEST:
-            raise ValueError(f"a trajectory stays within {_FARTHEST:g} m of the origin of the map")
+            raise ValueError(f"a trajectory must stay within {_FARTHEST:g} m of the origin of the map")
         if not (np.diff(self.time) > 0.0).all():
             raise ValueError("the times of a trajectory must increase")
 
@@ -87,10 +87,11 @@ class Control:
     Give an acceleration, or throttle and brake, or a trajectory. With an acceleration or pedals, you may also give a
     steering angle or request a lane change. Without either, the ego follows its path.
 
-    Without a vehicle model, the ego follows its path, a trajectory or a lane change exactly, and the model
-    ``kinematic`` carries out steering angles. With a vehicle model that steers, and after the first steering angle or
-    trajectory, a controller steers along the path whenever the function does not steer. The ego's path is the lane that
-    its reference point is in, if traffic runs in the ego's direction there; off the road, the last path stays.
+    Without a vehicle model, the ego follows its path, a trajectory or a lane change exactly; if the function gives a
+    steering angle, the vehicle model ``kinematic`` moves the ego. A controller steers along the path while the function
+    does not steer, in two cases: always with a vehicle model that steers, and otherwise after the first steering angle
+    or trajectory. The ego's path is the lane that its reference point is in, if traffic in this lane runs in the ego's
+    direction; off the road, the ego keeps its last path.
 
     Attributes
     ----------

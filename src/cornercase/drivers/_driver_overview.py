@@ -50,7 +50,8 @@ def _options_of(part: Any) -> Mapping[str, bool | int | float | str]:
 def _searchable_names(parts: Mapping[str, Any]) -> Iterator[str]:
     """Yield the names under which numeric options can be searched, except for options that have been given.
 
-    If several parts (driver, sensors, vehicle model) have an option, its name has the part, as in ``radar.range``.
+    If several parts (driver, sensors, vehicle model) have the same option, the name starts with the part, as in
+    ``radar.range``.
     """
     numbers = {
         part: [option for option in searchable_options(made) if option not in fixed_options(made)]

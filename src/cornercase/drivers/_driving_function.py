@@ -75,12 +75,12 @@ class Start:
         Duration of a time step in s.
     parameters : mapping of str to ndarray of float64, shape (N,)
         Options that differ between scenarios, such as ``"reaction"`` if ``Ego.reaction`` is a dimension of the search.
-        The driver, each sensor and the vehicle model are given their own options; an `AttachedDriver` is given all.
+        The driver, each sensor and the vehicle model are given only their own options.
     values : tuple of mapping, length N
         For each scenario, the values of the scenario file's parameters that differ from the values in the file.
     seeds : sequence of int, length N
-        Seed of each scenario. The same scenario in the same run of the same study has the same seed, for any number of
-        scenarios and worker processes.
+        Seed of each scenario. The seed follows from the seed of the study, the number of the repetition, and the
+        parameter values of the scenario; the number of scenarios and of worker processes has no effect.
     others : tuple of str, length A
         Names of the other entities.
     network : RoadNetwork or None
@@ -139,8 +139,8 @@ class DrivingFunction(Driver):
     """Base class of drivers that can also steer, follow trajectories and change lanes, in many scenarios at once.
 
     A batch is a set of scenarios that are simulated together. `prepare` is called once per batch, before the first
-    step; `Start.parameters` then has, for each of the `numeric_parameters` that is a dimension of a search, one value
-    per scenario. `decide` is called once per path in each step, with the mask ``active`` as in `Driver.acceleration`.
+    step. If a search varies some of the `numeric_parameters`, `Start.parameters` has one value per scenario for each
+    of them. `decide` is called once per path in each step, with the mask ``active`` as in `Driver.acceleration`.
     `release` is called at the end of the batch, also after a failure.
 
     Examples

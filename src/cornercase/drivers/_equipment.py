@@ -87,7 +87,10 @@ class EquippedDriver(Driver):
 
 
 def equip(driver: Driver, equipment: Sequence[str]) -> Driver:
-    """Return a driver with the sensors and the vehicle model of these names; raises `InputError` if one is unknown."""
+    """Return a driver with the sensors and the vehicle model that `equipment` names, as in ``"radar:range=120"``.
+
+    Raises `InputError` if a name is unknown, or if there are two vehicle models.
+    """
     if not equipment:
         return driver
     sensors, vehicle = list[Sensor](), None

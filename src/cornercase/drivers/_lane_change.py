@@ -21,11 +21,11 @@ _ARRIVED: Final = 0.3
 
 @dataclass
 class LaneChange:
-    """Change of a vehicle to another lane with the given path, from `start_offset` m to the left of this path.
+    """Change of a vehicle to another lane: `path` is the path along the new lane.
 
-    The profile is the planned lateral offset from the path. The offset shrinks as a quintic polynomial of time, with
-    lateral speed and acceleration 0 at both ends. `progress` goes from 0 to 1. `distance` is the approximate position
-    of the vehicle along the path in m.
+    The vehicle starts `start_offset` m to the left of this path. The planned offset from the path shrinks to 0 as a
+    quintic polynomial of time, with lateral speed and acceleration 0 at both ends. `progress` is the elapsed share of
+    the change, from 0 to 1. `distance` is the approximate position of the vehicle along the path in m.
 
     Source of the polynomial: M. Werling et al., "Optimal trajectory generation for dynamic street scenarios in a Frenét
     frame", ICRA 2010.
@@ -38,7 +38,7 @@ class LaneChange:
 
     @classmethod
     def begin(cls, path: DrivenPath, x: float, y: float) -> LaneChange:
-        """Create a change that begins at a position in m."""
+        """Create a change to the lane with this path, which begins at the position `x`, `y` in m."""
         nearest = int(np.argmin(np.hypot(path.x - x, path.y - y)))
         change = cls(path, float(path.distance[nearest]), 0.0)
         change.start_offset = float(change._locate(x, y, 0.0).offset[0])
@@ -68,9 +68,10 @@ class LaneChange:
     def advance_and_locate(
         self, x: float, y: float, heading: float, speed: float, dt: float, response: float
     ) -> PosesOnPath:
-        """Advance the change by a time step `dt` in s, and return the given pose relative to the planned motion.
+        """Advance the change by a time step `dt` in s, and return how the given pose deviates from the planned motion.
 
-        A controller steers along the planned motion from this. `response` is the time in s by which the wheels lag.
+        A controller uses the result to steer along the planned motion. `response` is the time in s by which the wheels
+        lag behind; the curvature in the result is that of the planned motion after this time.
         """
         pose = self._locate(x, y, heading, speed * (0.5 * dt + response))
         self.distance = float(pose.along[0])

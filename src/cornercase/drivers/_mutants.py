@@ -71,17 +71,18 @@ class Mutant:
 def generate_mutants(driver: str, count: int, seed: int = 0) -> tuple[Mutant, ...]:
     """Draw mutants of a driver, each worse in one parameter.
 
-    The mutations take turns in random order. The severity of a mutant, from mild to severe on a logarithmic scale,
-    follows the additive recurrence with the golden ratio from a random start for each mutation, which leaves no gaps.
+    The mutations take turns in random order. The severity of a mutant is a point between mild and severe on a
+    logarithmic scale. The severities of the same mutation start at a random point and then advance by the golden ratio
+    (additive recurrence), so that they cover the scale evenly.
 
     Parameters
     ----------
     driver : str
         A preset, possibly with options: ``"normal:horizon=4"``; or a class of your own that declares `mutations`:
         ``"my_aeb:Aeb:reaction=0.3"``; or an FMU or a program with a file of mutations:
-        ``"fmu:aeb.fmu:mutations=mutations.toml"``. The mutants keep its sensors and its vehicle model.
+        ``"fmu:aeb.fmu:mutations=mutations.toml"``. The mutants keep the sensors and the vehicle model of this driver.
     count : int
-        Number of mutants. A larger number only adds to the mutants of a smaller one.
+        Number of mutants. A larger number returns the same mutants as a smaller number, and then further ones.
     seed : int, default 0
         The same seed gives the same mutants.
 
@@ -93,7 +94,7 @@ def generate_mutants(driver: str, count: int, seed: int = 0) -> tuple[Mutant, ..
     Raises
     ------
     InputError
-        If there is no such driver, or it declares no parameters to make worse.
+        If there is no such driver, or no mutations of the driver are known.
 
     References
     ----------
@@ -166,8 +167,8 @@ def mutable_driver_name(driver: str | Driver | Mapping[str, object]) -> str:
         return name
     if isinstance(driver, Mapping) and "sha256" in driver:
         raise InputError(
-            f"The study only names the driver {driver.get('driver')}, but mutants need its code; give the driver with"
-            " `drivers`."
+            f"The study stores only the name of the driver {driver.get('driver')}, but mutants need its code; give the"
+            " driver with `drivers`."
         )
     return nearest_preset_name(driver)
 
@@ -195,15 +196,15 @@ def _mutations_and_parameters(driver: str) -> tuple[Sequence[Mutation], dict[str
     for mutation in created.mutations:
         if mutation.parameter not in parameters:
             raise InputError(
-                f"The driver '{name}' declares a mutation of '{mutation.parameter}', which is no option of its"
-                " constructor with a number as default."
+                f"The driver '{name}' declares a mutation of '{mutation.parameter}', but its constructor has no option"
+                " of this name with a number as default."
             )
     return created.mutations, parameters
 
 
 @runtime_checkable
 class HasFileMutations(Protocol):
-    """Driver with its parameter values in its text, and mutations from a file: an FMU or a program."""
+    """FMU or program as a driver: its name contains the parameter values, and a file lists its mutations."""
 
     file_mutations: tuple[Mutation, ...]
 

@@ -34,10 +34,10 @@ Part = Driver | Sensor | VehicleModel
 
 
 def parts_by_name(driver: Driver) -> dict[str, Part]:
-    """Return a driver, its sensors and its vehicle by the name that comes before an option, as in ``radar.range``.
+    """Return a driver, its sensors and its vehicle model by the name of the part, such as ``radar`` in ``radar.range``.
 
-    The driver is ``driver``, the vehicle model ``vehicle``, and a sensor has its own name. Sensors of the same name are
-    numbered from 1 on.
+    The driver is called ``driver``, the vehicle model ``vehicle``, and a sensor has its own name. Sensors of the same
+    name are numbered from 1 on.
     """
     if not isinstance(driver, EquippedDriver):
         return {DRIVER: driver}
@@ -81,7 +81,7 @@ def find_parameter(entity: str, driver: Driver, name: str) -> tuple[str, str]:
 
 
 def check_parameters(entity: str, driver: Driver, names: Iterable[str]) -> None:
-    """Raise `InputError` if a parameter is unknown, ambiguous, given twice, or fixed as an option of the driver."""
+    """Raise `InputError` if a searched parameter is unknown, ambiguous, given twice, or already set in the driver."""
     meant: dict[tuple[str, str], str] = {}
     for name in names:
         part, option = find_parameter(entity, driver, name)
@@ -89,13 +89,13 @@ def check_parameters(entity: str, driver: Driver, names: Iterable[str]) -> None:
             raise InputError(f"{entity}.{name}: is the same option as {entity}.{other}; keep one of them.")
         if option in fixed_options(parts_by_name(driver)[part]):
             raise InputError(
-                f"{entity}.{name}: the driver of {entity} ({driver}) is given with a fixed '{option}'; leave it out"
-                " there."
+                f"{entity}.{name}: the driver of {entity} ({driver}) is given with a fixed '{option}'; leave '{option}'"
+                " out of the driver."
             )
 
 
 def fixed_options(part: Part) -> set[str]:
-    """Return the options that a driver, sensor or vehicle model was given, which a search cannot vary."""
+    """Return the options that a driver, sensor or vehicle model was created with; a search cannot vary these."""
     if isinstance(part, DrivingFunction) and part.options_may_vary:
         return set()
     made: object = part.prototype if isinstance(part, PerScenarioDriver) else part
@@ -109,7 +109,10 @@ def fixed_options(part: Part) -> set[str]:
 
 
 def must_be_same_in_batch(driver: Driver, part: str) -> bool:
-    """Return whether a part is one object for all scenarios, with the same options: a `Driver` class of a user."""
+    """Return whether a part must have the same options in all scenarios of a batch (scenarios simulated together).
+
+    This is so for a user's `Driver` class, since one object drives in all scenarios of a batch.
+    """
     made = parts_by_name(driver)[part]
     can_vary = isinstance(made, DrivingFunction) or (isinstance(made, VariedDriver) and is_built_in(type(made)))
     return isinstance(made, Driver) and not can_vary
@@ -120,9 +123,9 @@ def read_parameters(
 ) -> tuple[dict[str, FloatArray], dict[int, str]]:
     """Return an entity's parameters in N scenarios as arrays (N,) by name, and problems with invalid values.
 
-    `values` has the values of each scenario by name, without the entity. Problems are texts by index of the scenario;
-    the arrays have the values of a valid scenario there. If `may_run_code`, constructors of users' classes check the
-    values, too.
+    `values` has the values of each scenario by name of the parameter, without the entity. Problems are texts by index
+    of the scenario; a scenario with a problem has the values of another, valid scenario in the arrays. If
+    `may_run_code`, constructors of users' classes check the values, too.
     """
     names = list(values[0]) if values else []
     parts, problems, usable = parts_by_name(driver), dict[int, str](), dict[tuple[float, ...], str]()
@@ -166,7 +169,10 @@ def options_by_scenario(parameters: Mapping[str, FloatArray], scenarios: int) ->
 
 
 def spec_with_values(entity: str, driver: Driver, values: Mapping[str, object]) -> str:
-    """Return the text that creates a driver with more options; the names in `values` are without the entity."""
+    """Return the text that creates a driver with the options `values` added, as in ``"normal:horizon=4"``.
+
+    The names in `values` are without the entity: an option, or a part and its option.
+    """
     options: dict[str, list[str]] = {}
     for name, value in values.items():
         part, option = find_parameter(entity, driver, name)

@@ -1,4 +1,4 @@
-"""Hints on drivers that were given as a file or command, without the prefix of their name such as ``fmu:``."""
+"""Hints on drivers that were given as a file or command, but without the prefix ``fmu:`` or ``exec:``."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ SEPARATOR: Final = " + "
 def split_spec(spec: str) -> tuple[str, tuple[str, ...]]:
     """Split a text such as ``"normal + radar:range=120"`` into the driver, and its sensors and vehicle model.
 
-    In the command of a program, a separator in quotes belongs to the command.
+    In the command of a program (``exec:``), a quoted `` + `` belongs to the command.
     """
     driver, *equipment = spec.split(SEPARATOR)
     while equipment and driver.lstrip().startswith("exec:") and _is_quote_open(driver):

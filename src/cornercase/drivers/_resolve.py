@@ -53,8 +53,9 @@ def is_driver(candidate: object) -> TypeGuard[Driver]:
 def check_drivers(drivers: object) -> dict[str, str | Driver]:
     """Return drivers by entity, each as a name or an object; raises `InputError` for anything that is no driver.
 
-    A `Behaviour` becomes the name of its preset with options. An object becomes a name, too, if this name creates an
-    equal driver: so a study can be continued without the object. The module of a user's own driver is not imported.
+    A `Behaviour` becomes the name of its preset with options. A driver object becomes a name, too, if a registered name
+    creates an equal driver, so that a study can be continued without the object. The name of a user's own driver stays
+    a name, and its module is not imported.
     """
     if drivers is not None and not isinstance(drivers, Mapping):
         raise InputError(
@@ -77,7 +78,7 @@ def _check_driver(entity: str, driver: object) -> str | Driver:
             f"`drivers` {entity}: {driver.__name__} is a class; give an object of it, as in"
             f" drivers={{{entity!r}: {driver.__name__}()}}."
         )
-    raise InputError(f"`drivers` {entity}={repr_short(driver)}: give the name of a driver, or an instance.")
+    raise InputError(f"`drivers` {entity}={repr_short(driver)}: give the name of a driver, or a driver object.")
 
 
 def create_driver_named_in_file(name: str) -> Driver:
@@ -91,7 +92,7 @@ def create_driver_named_in_file(name: str) -> Driver:
         raise InputError(f"asks for the driver '{name}', which does not exist; {hint}")
     if runs_program_or_file(name):
         raise InputError(
-            f"asks for the driver '{name}'; a program that a file names is not run, so give it yourself with `drivers`."
+            f"asks for the driver '{name}', but a program named in a file is not run; give the driver with `drivers`."
         )
     if (other := find_non_numeric_option(name)) is not None:
         raise InputError(f"asks for the driver '{name}' with the option '{other}'; in a file, options are numbers.")
@@ -112,9 +113,9 @@ def runs_program_or_file(name: str) -> bool:
 
 
 def refuse_program_driver(name: str) -> None:
-    """Raise `InputError` for a driver that runs a program or file, which a condition of a study may not name."""
+    """Raise `InputError` if the reference driver in a condition (`require`) of a suite would run a program or file."""
     if runs_program_or_file(name):
-        raise InputError(f"the driver '{name}' runs a program or file, which no condition may name; give a class.")
+        raise InputError(f"the driver '{name}' runs a program or file, but a condition must not run one; give a class.")
 
 
 def may_be_named_in_file(name: str) -> bool:
@@ -127,7 +128,10 @@ def may_be_named_in_file(name: str) -> bool:
 
 
 def find_non_numeric_option(name: str) -> str | None:
-    """Return the first option of a driver whose value is neither a number nor true or false; None without one."""
+    """Return the first option of a driver with a text as value; None if all values are numbers, true or false.
+
+    For a driver that runs a program or file, return all that follows the prefix.
+    """
     driver, equipment = split_spec(name)
     if runs_program_or_file(driver):
         return driver.partition(":")[2]
@@ -208,8 +212,8 @@ def load_user_driver(name: str) -> Driver:
         hidden = _describe_hidden_file(module_name)
         why = f" Its module is another one: {hidden}" if hidden else ""
         raise InputError(
-            f"The class '{class_path}' is not a driver: it derives neither from cornercase.SystemUnderTest nor from"
-            f" cornercase.Driver, nor has start(), acceleration() and a dict called settings.{why}"
+            f"The class '{class_path}' is not a driver: derive it from cornercase.SystemUnderTest or"
+            f" cornercase.Driver, or give it start(), acceleration() and a dict called settings.{why}"
         )
     record_driver_spec(driver, class_path, options)
     return equip(driver, equipment)
@@ -223,7 +227,7 @@ def _own_classes(module: ModuleType) -> list[str]:
 
 
 def _describe_hidden_file(module_name: str) -> str:
-    """Return a hint that another module hides the user's file of this name; an empty text if none does."""
+    """Return a hint if Python loads another module instead of the user's file of this name; else an empty text."""
     top = module_name.partition(".")[0]
     loaded = getattr(sys.modules.get(top), "__file__", None)
     for file in (Path(f"{top}.py"), Path(top, "__init__.py")):
@@ -240,9 +244,10 @@ def driver_by_name(name: str) -> Driver:
 
 
 def resolve_driver(driver: DriverLike) -> str | Driver:
-    """Return what a user gave as a driver as the name of a registered driver, or else as a driver object.
+    """Convert what a user gave as a driver to the name of a registered driver, or else to a driver object.
 
-    A name of a registered driver stays a name, so that it can be stored, if all its options are numbers.
+    The result is a name, which a study can store, for a `Behaviour`, and for a registered driver given by name if all
+    its options are numbers.
     """
     if isinstance(driver, SystemUnderTest):
         return PerScenarioDriver(driver)

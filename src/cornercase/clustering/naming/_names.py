@@ -58,7 +58,8 @@ class ClusterName:
     def with_qualifier(self, predicate: Predicate) -> ClusterName:
         """Return the name with one more predicate.
 
-        A bound of a quantity replaces a bound on the same side of the same quantity.
+        The predicate replaces a predicate of the name with the same `Predicate.quantity`, such as another upper bound
+        of the speed.
         """
         others = tuple(
             qualifier
@@ -74,8 +75,8 @@ def name_clusters(facts: NamingFacts, labels: IntArray, examples: Sequence[int])
     A name starts with how the scenarios end, or with the two or three ways in which they end. Then predicates (short
     statements) separate the cluster from clusters with the same name. If the name is true of many scenarios of other
     clusters, predicates separate the cluster from all clusters. Fixed words such as ``"clear"`` are tried first, then
-    bounds of features, then parts of parameter ranges. `examples` has the number of one scenario per cluster, which
-    completes the name if nothing else separates the cluster.
+    bounds of features, then parts of parameter ranges. `examples` has the id of one scenario per cluster. If two
+    clusters would still have the same name, the id of the example is added to the name.
     """
     endings_by_scenario = [describe_ending(outcome) for outcome in facts.outcomes]
     fixed = predicates_with_fixed_bounds(facts)

@@ -34,8 +34,9 @@ _BOUND_DIGITS: Final = (1, 2, 3)
 class Predicate:
     """Short statement about scenarios, and the mask of the n scenarios for which it holds, shape (n,).
 
-    If the statement is a bound, `quantity` names the quantity and the side of the bound; otherwise it is mostly empty.
-    The name of a cluster has at most one predicate of each quantity.
+    The name of a cluster has at most one predicate of each `quantity`. For a fitted bound, `quantity` is the bounded
+    quantity and the side of the bound. For a statement about who is at fault, `quantity` is `FAULT`. For all other
+    statements, `quantity` is empty, and a name may have several of them.
     """
 
     text: str
@@ -204,9 +205,10 @@ def predicates_with_fitted_bounds(
 
 
 def _describe_choice(parameter: Parameter, choice: str) -> str:
-    """Describe the choice of a parameter.
+    """Describe which choice a parameter has, as in "weather is rain".
 
-    A choice of several values that are set together is described by the first value that differs in all choices.
+    If a choice sets several parameters together, only the first parameter with a different value in each choice is
+    described.
     """
     names, parts = parameter.name.split(", "), [choice_parts.split(", ") for choice_parts in parameter.choices]
     if len(names) > 1 and all(len(choice_parts) == len(names) for choice_parts in parts):
@@ -227,7 +229,8 @@ def _fit_bounds(
 ) -> Iterator[Predicate]:
     """Yield predicates that bound a quantity from above or below, between the members and the rivals of a cluster.
 
-    The bounds hold for all members, or for exactly `min_members` of the members.
+    Rivals are scenarios of clusters with a similar name. The bounds hold for all members, or for exactly `min_members`
+    of the members.
     """
     for sign, text in ((-1.0, texts[0]), (1.0, texts[1])):
         signed = sign * values

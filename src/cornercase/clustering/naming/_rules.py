@@ -58,11 +58,12 @@ class Rule:
 def find_rules(space: ParameterSpace, values: Sequence[Mapping[str, Value]], is_member: BoolArray) -> tuple[Rule, ...]:
     """Find the parts of the parameter space in which members of a cluster prevail, by a shallow decision tree.
 
-    Rules are judged by ten-fold cross-validation: each tenth of the scenarios is judged by rules that were found in the
-    other nine tenths. Each of these rules counts for the rule from all scenarios that it overlaps most. A rule is
-    returned only if its part has significantly more members than by chance; labels of pure noise get a rule in about 1
-    of 100 cases. Rules come by falling share of the members. If all scenarios are members, or no parameter separates
-    the members, there is a single rule ``"everywhere"``.
+    The rules are found in all scenarios, and judged by ten-fold cross-validation: a tree is trained on nine tenths of
+    the scenarios, and applied to the last tenth. What a rule of this tree gets right or wrong there is credited to the
+    rule from all scenarios with the largest overlap. A rule is returned only if its part has significantly more members
+    than by chance: if membership were random, a rule would be returned in about 1 of 100 cases. Rules come by falling
+    share of the members. If all scenarios are members, or no parameter separates the members, there is a single rule
+    ``"everywhere"``.
     """
     # Imported here, since opening an analysis does not need it.
     from scipy.stats import hypergeom
@@ -105,7 +106,7 @@ def _find_prevailing_regions(columns: FloatArray, is_member: BoolArray) -> list[
 def _cross_validated_regions(columns: FloatArray, is_member: BoolArray, regions: Sequence[_Region]) -> IntArray:
     """Return the index of the region of each scenario by cross-validation, shape (n,); -1 outside all regions.
 
-    The region of a scenario is found by rules that were learned without the scenarios of its fold.
+    The region of a scenario is found by rules that were learned from the scenarios of the other folds.
     """
     judged = np.full(len(is_member), -1)
     fold = _stratified_folds(is_member)
@@ -146,7 +147,8 @@ def _encode_parameters(
 ) -> tuple[FloatArray, list[tuple[str, str, str]]]:
     """Return numeric columns of parameter values for a decision tree, shape (n, columns).
 
-    The second result has the parameter, the unit and the encoded choice of each column.
+    A number has one column. A parameter with choices has one column per choice, which is 1 in scenarios with this
+    choice and 0 in others. The second result has parameter, unit and choice of each column; "" if there is none.
     """
     columns, names = [], []
     for parameter in space.parameters:
@@ -165,9 +167,10 @@ def _encode_parameters(
 def _collect_leaves(
     tree: Any, columns: FloatArray, is_member: BoolArray, node: int, is_inside: BoolArray, bounds: _Bounds
 ) -> list[_Region]:
-    """Return the leaves of a decision tree in which members prevail, with the bounds of each column.
+    """Return the leaves below `node` of a decision tree in which members prevail, with the bounds of each column.
 
-    Two sibling leaves in which members prevail are merged.
+    Members prevail if they are at least half of the scenarios in a leaf, or if at least half of all members are in the
+    leaf. Two sibling leaves in which members prevail are merged.
     """
     left, right = int(tree.children_left[node]), int(tree.children_right[node])
     if left < 0:

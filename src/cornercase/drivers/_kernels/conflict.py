@@ -19,12 +19,12 @@ _TOLERANCE = 1e-6
 
 @plain_kernel
 def contact_interval(samples, row, ego, margin, other, horizon):
-    """Return first and last contact in s, and the leg of the first, if the driven entity stood at a path sample.
+    """Return the times of first and last contact, in s from now, if the driven entity stood at a path sample.
 
-    A leg is a straight piece of the other entity's predicted motion. `ego` is (half length, half width) in m, and
-    `margin` is added on either side. `other` is (legs, half length, half width, speed). With horizon 0, the other
-    entity stands still. Without contact, the result is (inf, -inf, 0). By the separating axis theorem, the boxes
-    overlap while their projections on all four axes overlap.
+    The third result is the leg of the first contact: a leg is a straight piece of the other entity's predicted motion.
+    `ego` is (half length, half width) in m, and `margin` is added on either side. `other` is (legs, half length, half
+    width, speed). With horizon 0, the other entity stands still. Without contact, the result is (inf, -inf, 0). By the
+    separating axis theorem, the boxes overlap while their projections on all four axes overlap.
     """
     legs = other[0]
     own_length, own_width = ego[0], ego[1] + margin
@@ -46,10 +46,10 @@ def contact_interval(samples, row, ego, margin, other, horizon):
 
 @inline_kernel
 def last_contact_ending_after(samples, row, ego, margin, other, horizon, min_end, time_offset):
-    """Return leg and interval of the last contact at a path sample, if its end + `time_offset` is later than `min_end`.
+    """Return leg, start and end of the last contact at a path sample, if end + `time_offset` is after `min_end`.
 
-    The interval is in s from the start of the leg. The leg is -1 if there is no such contact. The horizon must be above
-    0.
+    Start and end are in s from the start of the leg; `min_end` is in s from now. The leg is -1 without such a contact.
+    The horizon must be above 0.
     """
     legs = other[0]
     own_length, own_width = ego[0], ego[1] + margin
@@ -70,7 +70,7 @@ def last_contact_ending_after(samples, row, ego, margin, other, horizon, min_end
 def is_first_contact_before(samples, row, ego, margin, other, horizon, known_contact, max_start, time_offset):
     """Check whether the first contact at a path sample begins earlier than `max_start` - `time_offset`.
 
-    `known_contact` is the result of `last_contact_ending_after`, and must have a leg.
+    `known_contact` is the result of `last_contact_ending_after`, whose leg must not be -1.
     """
     legs = other[0]
     for early in range(known_contact[0]):
@@ -155,8 +155,8 @@ def _boxes_overlap_now(samples, row, own_length, own_width, other):
 def find_first_contact_row(samples, max_spacing, ego, margin, other, horizon, lookahead=None):
     """Return the index of the first path sample ahead at which the boxes touch; -1 if there is none.
 
-    Sample 0 is skipped. `max_spacing` is the largest distance in m between the centres at consecutive samples. If
-    `lookahead` is given, samples are computed when they are needed.
+    Sample 0, the driven entity itself, is skipped. `max_spacing` is the largest distance in m between the box's centres
+    at consecutive samples. If `lookahead` is given, `samples` are its samples, which are computed when needed.
     """
     k, count, until = 0, len(samples), -1
     if lookahead is not None:
@@ -179,10 +179,10 @@ def find_first_contact_row(samples, max_spacing, ego, margin, other, horizon, lo
 
 @inline_kernel
 def next_candidate_rows(lookahead, first_row, margin, other, min_time, horizon):
-    """Return the indices of the first and last of the next path samples with possible contact; compute the first one.
+    """Return the first and last index of the next path samples, from `first_row` on, with possible contact.
 
-    Contacts that end before `min_time` (s) are ignored. If the first index is past the end of the path, there is no
-    contact.
+    The sample at the first index is computed. Contacts that end before `min_time` (in s from now) are ignored. If the
+    first index is past the end of the path, there is no contact.
     """
     straight = int(lookahead.points[lookahead.first_point + first_row, 5])
     compute_sample(lookahead, first_row)
@@ -255,9 +255,9 @@ def _straight_contact_range(samples, row, ego, margin, other, min_time, horizon,
 
 @inline_kernel
 def _swept_distance(legs, leg, speed, start, end):
-    """Return the distance in m that an entity covers on a leg until `start`, and half its distance from there to `end`.
+    """Return the distance that an entity covers on a leg until `start`, and half the distance from `start` to `end`.
 
-    `start` and `end` are times in s.
+    Distances are in m, times in s. Both distances add up to the middle of the piece covered from `start` to `end`.
     """
     from_then = max(legs[leg, 4], start)
     return speed * (from_then - legs[leg, 4]), 0.5 * speed * max(end - from_then, 0.0)
@@ -265,9 +265,9 @@ def _swept_distance(legs, leg, speed, start, end):
 
 @inline_kernel
 def _clip_range(first, last, rate, center, radius):
-    """Clip a range of distances to the part in which a projection is within `radius` of `center`.
+    """Clip a range of distances along a line to the part whose projection on an axis is within `radius` of `center`.
 
-    The projection grows by `rate` per metre.
+    The projection is 0 at distance 0, and grows by `rate` per metre.
     """
     if abs(rate) < 1e-9:
         # Hardly any motion on this axis: add a tolerance.

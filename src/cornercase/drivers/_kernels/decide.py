@@ -48,7 +48,10 @@ def compute_acceleration(fleet, driver, scenario, route, time, time_step, driven
 
 @inline_kernel
 def change_vehicle_speed(fleet, driver, scenario, speed, acceleration, request, time_step):
-    """Return the speed in m/s after a time step of an entity with actuators; `request` is the driver's in m/s²."""
+    """Return the speed in m/s after a time step of an entity with a vehicle model of actuators.
+
+    `acceleration` is the present acceleration, `request` the acceleration that the driver wants, both in m/s².
+    """
     row, friction = fleet.first_vehicle[driver] + scenario, fleet.friction[scenario]
     return change_speed(fleet.vehicles, row, speed, acceleration, request, friction, time_step)
 

@@ -1,4 +1,4 @@
-"""View of a driven entity on other entities: along its path, and in its own axes."""
+"""How a driven entity sees other entities: in coordinates along its path, and in axes fixed to the driven entity."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -29,8 +29,9 @@ def look(
     In scenarios that are not `active` (N,), nothing is seen: numbers are NaN.
 
     The arrays of the path have shape (1, P) or (N, P). `box` (3,) and `others_boxes` (3, A) are length, width and
-    centre in m. `own` is the ego's distance along the path, offset to the left, and direction of the path there.
-    Columns of `objects` are `X` to `ALONG`. `leader` is the index of the nearest object ahead in the path.
+    centre in m. `own` is the ego's distance along the path, the ego's offset to the left of the path, and the direction
+    of the path next to the ego. The columns of `objects` are the constants `X` to `ALONG` of this module. `leader` is
+    the index of the nearest object that is ahead and overlaps the ego's path; -1 if there is none.
     """
     length, width, center = box
     for n in range(x.shape[0]):

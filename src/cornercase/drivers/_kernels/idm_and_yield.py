@@ -77,7 +77,8 @@ _TOLERANCE = 1e-9
 def plan_acceleration(behaviour, routes, route, scene, buffers):
     """Return the acceleration in m/s² that the built-in driver wants in one scenario, before limits of the vehicle.
 
-    Also updates, in `scene`, since when entities have been in conflict with the driver, and to which it yields.
+    Also updates two rows of `scene`: since when each entity has been in conflict with the driver
+    (`memory[CONFLICT_SINCE]`), and whether the driver yields to this entity (`awareness[YIELDING]`).
     """
     driven, boxes, memory, awareness = scene.driven, scene.boxes, scene.memory, scene.awareness
     v = max(driven.speed, 0.0)
@@ -129,7 +130,7 @@ def _free_acceleration(behaviour, routes, route, scene, speed, target_speed):
 
 @inline_kernel
 def _react_to_other(behaviour, time_step, lookahead, other, is_vulnerable, is_yielding, lowest_so_far):
-    """Return the acceleration that one other entity allows, and whether the driver must yield to it.
+    """Return the acceleration that one other entity allows, and whether the driver must yield to the entity.
 
     The result is ``(inf, False)`` if the other entity does not matter. An acceleration that is not below
     `lowest_so_far` has no effect, and may be inexact.
@@ -228,7 +229,8 @@ def _find_conflict(behaviour, lookahead, margin, other, gap_if_first, gap_if_aft
 
     Returns the index of the sample where the conflict zone begins, and the index of the found sample; both are -1
     without conflict. `gap_if_first` and `gap_if_after` are the required gaps in s if the driver passes first or second.
-    If `is_too_late` to decide, the driver expects entities from behind in its own direction to brake.
+    If `is_too_late` to stop comfortably before the zone, an entity that moves in the driver's direction and arrives
+    after the driver is expected to brake, and is no conflict.
     """
     k, until, samples, ego, horizon, earliest = 0, -1, lookahead.samples, lookahead.ego, behaviour.horizon, 0.0
     while k + 1 < lookahead.rows:

@@ -55,7 +55,11 @@ class LookaheadPath(NamedTuple):
 
 @inline_kernel
 def build_lookahead(behaviour, routes, route, scene, speed, target_speed, buffers):
-    """Build the path ahead, up to where it matters for the present speed and the wanted `target_speed` in m/s."""
+    """Build the path ahead at the present `speed`, with the wanted `target_speed`, both in m/s.
+
+    The path reaches as far as the driver gets at this speed within its prediction horizon, or as far as a comfortable
+    stop needs if that is longer, plus a reserve.
+    """
     driven, cos, sin, center_x = scene.driven, scene.cos, scene.sin, scene.own[CENTER_X]
     samples_ahead, points, distance = buffers.samples, routes.points, driven.distance
     begin, samples, step = routes.begin[route], routes.samples[route], routes.measures[route, 0]

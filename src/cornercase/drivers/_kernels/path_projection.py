@@ -59,7 +59,8 @@ def _project(distance, path_x, path_y, heading, max_chord, own, x, y, along, off
 def locate_vehicles(distance, path_x, path_y, heading, max_chord, curvature, own, x, y, ahead):
     """Return where N vehicles are on a path, shape (N, 4).
 
-    Columns: distance along the path, offset to the left, direction there, and curvature `ahead` m (N,) farther on.
+    Columns: distance along the path, offset to the left of the path, direction of the path next to the vehicle, and
+    curvature of the path farther on, by the distance `ahead` (N,) in m.
     """
     result = np.empty((x.size, 4))
     for n in range(x.size):
@@ -72,7 +73,10 @@ def locate_vehicles(distance, path_x, path_y, heading, max_chord, curvature, own
 
 @kernel(error_model="numpy", _nrt=False)
 def interpolate_on_path(distance, values, at):
-    """Interpolate `values` at the samples of a path at a distance in m; beyond an end, return the value at this end."""
+    """Interpolate `values`, which belong to the samples of a path, at the distance `at` along the path in m.
+
+    Beyond an end of the path, return the value at this end.
+    """
     last = distance.size - 1
     if not at < distance[last]:
         return values[last]
@@ -145,9 +149,10 @@ def _find_nearest_sample(path_x, path_y, max_chord, first, last, x, y):
 
 @kernel(error_model="numpy", _nrt=False, forceinline=True)
 def _max_squared_gap(squared_gap, reach):
-    """Return a limit in m² for skipping the samples within `reach` m of a sample.
+    """Return the limit in m² above which a block of samples, within `reach` m of its middle, can be skipped.
 
-    If the squared gap of that sample is above the limit, no sample around it is nearer than `squared_gap`.
+    If the squared distance of a point to the middle of the block is above the limit, no sample of the block has a
+    squared distance below `squared_gap`.
     """
     limit = math.sqrt(squared_gap) + reach
     return (1.0 + 1e-9) * limit * limit
@@ -155,9 +160,10 @@ def _max_squared_gap(squared_gap, reach):
 
 @kernel(error_model="numpy", _nrt=False)
 def project_point_nearby(distance, path_x, path_y, heading, max_chord, own_distance, x, y):
-    """Project a point as `project_point` does, but onto the path near `own_distance` if that is near the point.
+    """Project a point as `project_point` does, but prefer the part of the path around `own_distance`.
 
-    So a vehicle does not change to another branch if its path crosses itself.
+    If this part is less than 5 m away, the rest of the path is not searched. So a vehicle whose path crosses itself
+    does not jump to the crossing branch.
     """
     k = descend_to_nearest_sample(path_x, path_y, _find_first_at_or_beyond(distance, own_distance), x, y)
     if not _squared_gap(path_x, path_y, k, x, y) < NEARBY * NEARBY:
@@ -167,7 +173,7 @@ def project_point_nearby(distance, path_x, path_y, heading, max_chord, own_dista
 
 @kernel(error_model="numpy", _nrt=False)
 def descend_to_nearest_sample(path_x, path_y, start, x, y):
-    """Return the index of a path's sample nearest to a point; search from `start` on until gaps grow again."""
+    """Return the index of the sample nearest to a point; go from `start` along the path while samples get nearer."""
     last = path_x.size - 1
     k = min(max(start, 0), last)
     gap, step = _squared_gap(path_x, path_y, k, x, y), 1
@@ -188,7 +194,10 @@ def _squared_gap(path_x, path_y, k, x, y):
 
 @kernel(error_model="numpy", _nrt=False)
 def _project_onto_chords(distance, path_x, path_y, heading, first, last, nearest, x, y):
-    """Project a point onto a chord next to sample `nearest` of a path from `first` to `last`, as `project_point`."""
+    """Project a point onto the nearer of the two chords at sample `nearest`, with results as of `project_point`.
+
+    Only the samples `first` to `last` count as the path.
+    """
     best = math.inf
     along, offset, direction, is_next_to = math.nan, math.nan, math.nan, False
     for k in range(max(nearest - 1, first), min(nearest + 1, last)):

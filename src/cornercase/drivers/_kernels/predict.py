@@ -27,8 +27,8 @@ MAX_STRAIGHT_TURN_RATE: Final = 0.05
 def predict_legs(memory, other, cos, sin, center_x, horizon, legs):
     """Predict the motion of another entity for `horizon` s; fill `legs`, and return the number of legs.
 
-    The entity is assumed to keep its turn rate for a while, and then to go straight. `cos` and `sin` belong to its
-    heading; `center_x` is the centre of its box in m.
+    The entity is assumed to keep its turn rate for 2 s, and then to go straight. `cos` and `sin` belong to its heading;
+    `center_x` is the position of the box's centre ahead of the entity's reference point in m.
     """
     x, y, heading, speed, turn = (
         memory[X, other],

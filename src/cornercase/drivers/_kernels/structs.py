@@ -1,6 +1,7 @@
 """State of drivers as arrays over drivers, scenarios and other entities, for kernels.
 
-The types of these tuples do not depend on the numbers of drivers, scenarios and entities, or on the roads.
+The types of these tuples are the same for all numbers of drivers, scenarios and entities, and for all roads, so that
+each kernel (compiled function) is compiled only once.
 """
 
 from __future__ import annotations
@@ -42,8 +43,9 @@ class Routes(NamedTuple):
 
     `row` (D, G): the first row of the route; -1 if none is planned. `rows` (D, G): number of rows of the route, 1 or N.
     `begin`, `samples` (Q,): first point of a row, and number of its points. `measures` (Q, 3): distance between points
-    in m, and `max_spacing` and `max_turn` of `Route`. `points` (M, 6): x and y in m, cosine and sine of the heading,
-    square of the highest speed in m²/s², and number of the next points that lie on a straight line.
+    along the path in m, and the fields `max_spacing` and `max_turn` of `Route`. `points` (M, 6): x and y in m, cosine
+    and sine of the heading, square of the highest speed in m²/s², and number of the following points that lie on a
+    straight line with this one.
     """
 
     row: IntArray

@@ -49,9 +49,9 @@ def find_visible_others(
 ) -> BoolArray:
     """Return which of A other entities a driver sees in each of N scenarios; ndarray of bool, shape (N, A).
 
-    The eye is ahead of the centre of the driver's box, by a quarter of its length. An entity is seen if at least one of
-    five points of its box (centre and corners) is in range and in the field of view, and no third box blocks the line
-    of sight. Boxes have no height, so every entity hides what is behind it.
+    The eye is ahead of the centre of the driver's box, by a quarter of the box's length. An entity is seen if at least
+    one of five points of its box (centre and corners) is in range and in the field of view, and no third box blocks the
+    line of sight. Boxes have no height, so every entity hides what is behind it.
 
     `pose` (N, 3): x and y in m and heading in rad of the driver's reference point. `box` (3,): length, width and centre
     of its box in m. `others` (N, 3, A): x, y and heading, NaN if an entity does not exist. `boxes` (3, A): the others'
@@ -87,8 +87,8 @@ def update_visible_others(field_of_view, sight_range, eye, boxes, others, placed
     """Update `seen` (A,), True for each of A other entities that a driver sees in one scenario, and `placed_boxes`.
 
     `eye` comes from `eye_pose`. `boxes` and `others` are as in `DriverScene`. `placed_boxes` (A, 5) has the boxes of
-    the others as in `Workspace.boxes`; the centre of a box out of range is NaN. Pass the same array in each step, and
-    fill it with NaN before the first.
+    the others as in `Workspace.boxes`; the x of a box out of range is NaN. Fill the array with NaN before the first
+    step, and then pass it in each step, since it keeps what was computed for unchanged headings.
     """
     eye_x, eye_y, cos, sin = eye
     count = others.shape[1]
