@@ -309,7 +309,7 @@ def test_it_is_told_how_its_views_are(tmp_path):
 ANSWERS = {
     1: r"its TrafficUpdate has the ids 1, but not the id 0 of the driven vehicle",
     2: r"its message is not an OSI TrafficUpdate",
-    4: r"its TrafficUpdate cannot be driven: it has neither a position nor an acceleration",
+    4: r"its TrafficUpdate cannot be driven: the state has neither a position nor an acceleration",
 }
 
 

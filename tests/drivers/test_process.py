@@ -172,7 +172,7 @@ def answering(folder, code, name="other.py"):
         ),
         (
             "f = client.ScalarAdapter(client.Function); f.columns = ['path_x']; client.serve_batches(f)",
-            "it wants the column 'path_x', but gives no 'ahead', the distances of the path's points.",
+            "it wants the column 'path_x', but does not give 'ahead', the list of distances in m at which it",
         ),
         ("import os; os.close(0); os._exit(0)", "cannot be used: it ended with exit code 0 before it answered."),
         ("import os; os.close(0); os.write(1, b'hello'); os._exit(0)", "its output begins with 'hello', which is no"),
@@ -368,7 +368,7 @@ def test_an_answer_is_read_or_refused():
     for answer, words in (
         ({"acceleration": pack_column([1.0])}, "has 1 values of acceleration for 2 scenarios"),
         ({"acceleration": [1.0, 2.0]}, "its acceleration is not binary data"),
-        ({"brake": pack_column([0.0, 1.5])}, "its brake is 1.5; it goes from 0 to 1"),
+        ({"brake": pack_column([0.0, 1.5])}, "its brake is 1.5; it has to be from 0 to 1"),
         ({"lane_change": pack_column([0.0, 2.0])}, "its lane_change is not 1"),
         ({"accelaration": pack_column([0.0, 1.0])}, "unknown key 'accelaration'; did you mean 'acceleration'"),
         ({"failures": [[2, "x"]]}, "has the row 2, but the step has 2 rows"),

@@ -217,7 +217,7 @@ def set_route(fleet: Fleet, driver: int, track: int, path: DrivenPath) -> Fleet:
 
 
 def _plan_cached_routes(path: DrivenPath, limits: FloatArray, rows: int) -> tuple[FloatArray, FloatArray]:
-    """Return `Routes.points` and `Routes.measures` of a route that has `rows` rows.
+    """Return `Routes.points` and `Routes.measures` of `rows` scenarios; a single route along a lane is cached.
 
     `limits` (N, 2): lateral acceleration and deceleration of the driver in m/s². A route that is the same in all
     scenarios has one row, and is cached.

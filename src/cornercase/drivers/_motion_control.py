@@ -1,4 +1,4 @@
-"""Motion of a vehicle that follows from the decisions of its driver, in many scenarios at once."""
+"""Motion of a vehicle according to the decisions of its driver, in many scenarios at once."""
 
 from __future__ import annotations
 
@@ -28,8 +28,9 @@ _DEFAULT_VEHICLE: Final = "kinematic"
 class DrivenMotion:
     """Motion of a vehicle at the end of a time step, in N scenarios.
 
-    If `is_steered` (N,), the vehicle has the pose in `state`. If not, the vehicle goes along its path, and only the
-    speed in `state` counts. If `is_tracked` (N,), the driver did not steer, and a controller steered along the path.
+    In scenarios where `is_steered` (N,) is True, the vehicle has the pose in `state`. In all others, the vehicle stays
+    exactly on its path, and only the speed in `state` counts. `is_tracked` (N,) is True where the driver did not steer,
+    and a controller steered the vehicle along its path instead.
     """
 
     state: PlanarMotion
@@ -42,8 +43,9 @@ class _ManeuverState:
     """State of a vehicle's maneuvers in N scenarios.
 
     `is_free` (N,): True if the vehicle no longer follows its path exactly, so a controller must steer along the path.
-    `last_request` (N,): last request of a lane change, in lanes to the left. `left_x`, `left_y` (N,): position in m at
-    the end of the last step. `followed`, `changes`: present trajectories and lane changes by index of the scenario.
+    `last_request` (N,): lane change that the driver requested in the previous time step, in lanes to the left; 0 for
+    none. `left_x`, `left_y` (N,): position in m at the end of the previous time step. `followed` and `changes`:
+    trajectories and lane changes in progress, by index of the scenario.
     """
 
     is_free: BoolArray
@@ -57,9 +59,10 @@ class _ManeuverState:
 class VehicleMover:
     """Motion of a driver's vehicle, step by step, with or without a vehicle model.
 
-    Without a vehicle model, the vehicle follows trajectories exactly, and also its path and lane changes until the
-    driver first steers or gives a trajectory. Otherwise a controller steers along these if the driver does not steer.
-    `note_missing_lane` is called with the time and the side of each request for a lane that is not there.
+    Without a vehicle model, the vehicle follows a driver's trajectories exactly. Without a vehicle model that steers,
+    the vehicle also follows its path and lane changes exactly, until the driver first steers or gives a trajectory. In
+    all other cases, a controller steers the vehicle while the driver does not. If the driver requests a change to a
+    lane that does not exist, `note_missing_lane` is called with the time and the side.
     """
 
     def __init__(self, vehicle: VehicleModel | None, note_missing_lane: Callable[[float, str], None]) -> None:
@@ -83,8 +86,8 @@ class VehicleMover:
     ) -> DrivenMotion:
         """Return the motion at the end of a time step in the active scenarios.
 
-        `begin` is the motion at the start of the step. `acceleration` (N,) in m/s² is NaN in scenarios that follow a
-        trajectory.
+        `begin` is the motion at the start of the step. `acceleration` (N,) in m/s² is NaN in scenarios in which the
+        vehicle follows a trajectory.
         """
         memory, dt, time = self._memory, situation.time_step, situation.time
         self._update_maneuvers(time, begin, controls, active)
@@ -135,7 +138,7 @@ class VehicleMover:
         return DrivenMotion(PlanarMotion(x, y, heading, speed, (speed - begin.speed) / dt), is_steered, is_tracked)
 
     def follows_trajectory(self, controls: Controls) -> BoolArray:
-        """Return a mask (N,) of the scenarios in which a trajectory is given now or is being followed."""
+        """Return a mask (N,): True if the driver gives a trajectory now, or the vehicle already follows one."""
         result = np.zeros(len(controls.acceleration), dtype=np.bool_)
         result[[*controls.trajectories, *self._memory.followed]] = True
         return result
@@ -183,7 +186,11 @@ class VehicleMover:
     def _continue_change(
         self, n: int, begin: PlanarMotion, speed: float, steering: FloatArray, dt: float
     ) -> tuple[float, float, float] | None:
-        """Continue a lane change: return the new pose if followed exactly, otherwise set the steering angle."""
+        """Continue the lane change of scenario `n` by a time step.
+
+        Returns the new pose of a vehicle that follows its path exactly. For any other vehicle, sets the scenario's
+        angle in `steering` and returns None.
+        """
         change, x, y = self._memory.changes[n], float(begin.x[n]), float(begin.y[n])
         if not self._memory.is_free[n]:
             pose = change.move(x, y, speed, dt)
@@ -200,7 +207,7 @@ class VehicleMover:
     def _set_path_tracking_steering(
         self, situation: Situation, begin: PlanarMotion, steering: FloatArray, rows: BoolArray
     ) -> None:
-        """Set the steering angles that follow the path, in the scenarios of the mask `rows`."""
+        """Set the steering angles with which vehicles follow their path, in the scenarios of the mask `rows`."""
         if rows.any():
             ahead = begin.speed * (0.5 * situation.time_step + self._response)
             poses = locate_on_path(situation.path, situation.distance, begin.x, begin.y, begin.heading, ahead)

@@ -113,7 +113,7 @@ def runs_program_or_file(name: str) -> bool:
 
 
 def refuse_program_driver(name: str) -> None:
-    """Raise `InputError` if the reference driver in a condition (`require`) of a suite would run a program or file."""
+    """Raise `InputError` for a driver that runs a program or file, which a condition of a study may not name."""
     if runs_program_or_file(name):
         raise InputError(f"the driver '{name}' runs a program or file, but a condition must not run one; give a class.")
 

@@ -22,11 +22,12 @@ _STRAIGHT_TOLERANCE = 1e-10
 class Route(NamedTuple):
     """Path sampled at R equal distances for speed planning, with one row for all scenarios or N rows for N scenarios.
 
-    `step` (N,): distance between samples in m. `x`, `y` (N, R) in m. `cos`, `sin` (N, R): of the heading.
-    `max_speed_squared` (N, R): square of the highest speed that the curves ahead allow, in m²/s²; each sample holds the
-    lowest value up to one step before and after it. `straight_count` (N, R): number of samples that follow on a
-    straight line. `max_spacing` (N,): largest distance between consecutive samples in m. `max_turn` (N,): largest
-    difference between the direction vectors of consecutive samples.
+    `step` (N,): distance along the path between samples in m. `x`, `y` (N, R): positions of the samples in m. `cos`,
+    `sin` (N, R): cosine and sine of the heading at the samples. `max_speed_squared` (N, R): square of the highest speed
+    that the curves ahead allow, in m²/s²: at each sample, the lowest value within one step before and after the sample,
+    so that interpolation never gives more than the curves allow. `straight_count` (N, R): number of next samples that
+    lie straight ahead of a sample. `max_spacing` (N,): largest straight distance between two consecutive samples in m.
+    `max_turn` (N,): largest length of the difference between the unit vectors (cos, sin) of two consecutive samples.
     """
 
     step: FloatArray
@@ -48,10 +49,11 @@ def plan_route(
 ) -> Route:
     """Resample a path at equal distances, and compute the highest speed that its curves allow.
 
-    The result has one row for each scenario, or a single row if neither the path nor a limit differs between scenarios.
+    The result has one row for each scenario, or a single row if path and limits are the same in all scenarios.
 
-    The speed v satisfies v² |κ| ≤ a_lat for the curvature κ. It also satisfies v² ≤ v_c² + 2 b d for each sample at
-    distance d ahead with highest speed v_c. Here a_lat is `lateral_acceleration` and b is `deceleration`, in m/s².
+    The highest speed v at a point with curvature κ satisfies v² |κ| ≤ a_lat. To brake in time for curves, v also
+    satisfies v² ≤ v_c² + 2 b d for each point at a distance d ahead whose curvature allows the speed v_c. Here a_lat is
+    `lateral_acceleration` and b is `deceleration`, in m/s².
     """
     arrays = [np.atleast_2d(array) for array in (path.distance, path.x, path.y, path.heading, path.curvature)]
     n_rows = max(len(arrays[0]), np.size(lateral_acceleration), np.size(deceleration))

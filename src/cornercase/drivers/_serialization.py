@@ -43,18 +43,21 @@ def record_driver_spec(driver: Driver, name: str, options: Mapping[str, object])
         if options:
             raise InputError(
                 f"The driver '{name}' takes no options, since its class has __slots__ and no __dict__ to keep them;"
-                " derive it from cornercase.drivers.Driver."
+                " derive the class from cornercase.drivers.Driver."
             ) from None
 
 
 def recorded_options(driver: object) -> Mapping[str, object]:
-    """Return the options with which a driver was created by name; empty for a driver given as an object."""
+    """Return the options of a driver that was created from a name and options; empty for any other driver."""
     _, options = getattr(driver, "__dict__", {}).get(_SPEC_ATTRIBUTE, ("", {}))
     return dict(options)
 
 
 def remove_driver_spec(driver: Driver) -> Driver:
-    """Remove the stored name and options from a driver, so that it counts as an object and runs in this process."""
+    """Remove the stored name and options from a driver, so that simulators treat the driver as an object.
+
+    Simulators run a driver that is given as an object in this process, not in child processes.
+    """
     vars(_unwrap(driver.driver if isinstance(driver, EquippedDriver) else driver)).pop(_SPEC_ATTRIBUTE, None)
     return driver
 
@@ -62,10 +65,10 @@ def remove_driver_spec(driver: Driver) -> Driver:
 def serialize_driver(driver: str | Driver) -> str | dict[str, Any]:
     """Return plain JSON values that describe a driver.
 
-    For a registered driver this is its name, and for an object of cornercase's own classes its settings. For any other
-    driver it is a dict: ``driver`` is the class as ``"package.module:Class"``; ``options`` are its options, if it was
-    created by name or has plain ones; ``sha256`` is the checksum of the file that defines the class, if any;
-    ``settings`` are its settings, if the class defines them.
+    A driver given by name is described by this name, and a driver of cornercase by its settings. A driver of the user
+    is described by a dict: ``driver`` is the name, or the class as ``"package.module:Class"``; ``options`` are the
+    options from which the driver was created, if known; ``sha256`` is the checksum of the file that defines the class,
+    if there is a file; ``settings`` are the driver's own settings, if the class defines settings.
     """
     if isinstance(driver, str):
         return driver
@@ -96,7 +99,7 @@ def serialize_driver(driver: str | Driver) -> str | dict[str, Any]:
 def require_storable_drivers(drivers: Mapping[str, object]) -> None:
     """Raise `InputError` for a user's own driver with an option that a study can neither store nor compare.
 
-    An option with an entry of the same name in the driver's `settings` is no problem.
+    For an option with an entry of the same name in the driver's `settings`, the study stores this entry instead.
     """
     for driver in drivers.values():
         own = _unwrap(driver.driver if isinstance(driver, EquippedDriver) else driver)
@@ -111,10 +114,10 @@ def _unwrap(driver: object) -> Any:
 
 
 def _source_file_checksum(cls: type) -> str:
-    """Return the SHA-256 of the file that defines a class, as first read; an empty text if there is no file.
+    """Return the SHA-256 of the file that defines a class; an empty text if there is no file.
 
-    For a class in the main script, only the lines of the class count: the rest of the script may change before the
-    script continues a study.
+    The file is read once for each class. For a class in the main script, only the lines of the class count, so that
+    the rest of the script may change before the script continues a study.
     """
     # A module edited in the meantime is not reloaded.
     if cls not in _checksums:
@@ -130,8 +133,8 @@ def _source_file_checksum(cls: type) -> str:
 def driver_command_option(description: object) -> str | None:
     """Return the command line option that creates a driver again, such as ``"my_aeb:Aeb:reaction=0.3"``.
 
-    Returns None for an object that was created in Python, which has no option. `description` comes from a study, so
-    its content is not trusted.
+    Returns None if no command line option can create the driver, as for most drivers that are given as objects.
+    `description` is a serialized driver from the file of a study, so its content is not trusted.
     """
     if isinstance(description, str):
         return description
@@ -209,8 +212,8 @@ def format_driver(description: object) -> str:
 def iter_driver_changes(stored: object, current: object) -> Iterator[tuple[str, str, str, bool]]:
     """Yield (entity, before, now, only_file_changed) for each entity whose driver has changed.
 
-    `stored` and `current` are serialized drivers by entity. The last item is True if class and options are the same,
-    and only the file with the class has changed.
+    `stored` and `current` hold the serialized driver of each entity. `before` and `now` describe the two drivers as
+    text. `only_file_changed` is True if only the file that defines the driver's class has changed.
     """
     old, new = (dict(drivers) if isinstance(drivers, Mapping) else {} for drivers in (stored, current))
     for entity in sorted({*old, *new}):

@@ -15,17 +15,21 @@ from cornercase.drivers.vehicles._kernels.steered import move_steered_vehicle
 
 @kernel(error_model="numpy", _nrt=False, forceinline=True)
 def has_steered_vehicle(fleet, driver):
-    """Return whether the entity of a driver of a fleet has a vehicle model that steers."""
+    """Return whether the entity that a driver drives has a vehicle model that steers.
+
+    `driver` is the index of the driver in `fleet`, which holds the drivers and vehicles of all entities.
+    """
     return fleet.first_vehicle[driver] >= 0 and fleet.vehicle_kind[driver] != ACTUATORS
 
 
 @kernel(error_model="numpy", _nrt=False)
 def move_along_path(fleet, driver, scenario, path, curvature, distance, motion, request, time_step):
-    """Move a vehicle by one time step along a path, as `Mover` does; return its distance along the path.
+    """Move a vehicle by one time step along a path, as `VehicleMover` does; return its distance along the path.
 
-    `path` has the first five arguments of `project_point_nearby`. `motion` (5,) is x, y, heading, speed and
-    acceleration, and is changed in place. `distance` is the approximate position along the path in m. `request` is the
-    acceleration in m/s² that the driver chooses.
+    `path` has five arrays over the path's samples: distance, x, y and heading, then the chords that
+    `project_point_nearby` needs. `motion` (5,) is x, y, heading, speed and acceleration, and is changed in place.
+    `distance` is the approximate position along the path in m. `request` is the acceleration in m/s² that the driver
+    chooses.
     """
     row = fleet.first_vehicle[driver] + scenario
     parameters = fleet.vehicles.parameters[row]

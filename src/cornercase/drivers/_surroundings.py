@@ -70,8 +70,9 @@ class LaneView:
 class _EgoGroup:
     """Egos of n scenarios on the same path along lanes, and the A other entities in each scenario.
 
-    `along`, `offset` (n,): position of the egos along the path, and to the left of the path, in m. `column` (n,): lane
-    of the egos. `others_along`, `others_offset` (n, A): positions of the other entities, in the same way.
+    `sections` has the lanes along the path, one column per lane from left to right. `along`, `offset` (n,): position of
+    the egos along the path, and to the left of the path, in m. `column` (n,): column of the egos' lane in `sections`.
+    `others_along`, `others_offset` (n, A): positions of the other entities along and to the left of the path, in m.
     """
 
     sections: CrossSections
@@ -83,19 +84,20 @@ class _EgoGroup:
 
     @cached_property
     def edges(self) -> tuple[IntArray, FloatArray, FloatArray]:
-        """Path sample at each ego (n,), and left and right edges of all L lanes there in m, (n, L)."""
+        """Index of the path sample at each ego, (n,), and left and right edges of L lanes at the ego in m, (n, L)."""
         return self.sections.edges_at(self.along)
 
     @cached_property
     def others_column(self) -> IntArray:
-        """Lane of each other entity, as a column of `sections`, (n, A)."""
+        """Column in `sections` of the lane that each other entity is on, (n, A)."""
         return self.sections.lane_column_at(self.others_along, self.others_offset)
 
 
 class Surroundings:
     """Lanes, speed limits and signals around the egos of N scenarios.
 
-    `own` (N, 3) and `objects` (N, A, 8) are results of the kernel `look`.
+    `own` (N, 3) and `objects` (N, A, 8) are what the compiled function `look` computes: the egos' poses on their paths,
+    and the A other entities as seen from the egos.
     """
 
     def __init__(self, situation: Situation, network: RoadNetwork | None, own: FloatArray, objects: FloatArray) -> None:
@@ -121,7 +123,7 @@ class Surroundings:
         others_along: FloatArray,
         others_offset: FloatArray,
     ) -> IntArray:
-        """Add a group of scenarios whose ego is on a lane along a path; return the scenarios whose ego is not."""
+        """Add a group of the scenarios in `rows` whose ego is on a lane along a path; return the other scenarios."""
         sections = CrossSections.along(network, path)
         column = sections.lane_column_at(along, offset)
         group = _EgoGroup(sections, along, offset, column, others_along, others_offset)
@@ -131,7 +133,7 @@ class Surroundings:
         return others
 
     def _group_by_lane(self, network: RoadNetwork, rows: IntArray) -> None:
-        """Add groups of scenarios by the lane that the ego is on, regardless of the ego's path."""
+        """Group the scenarios in `rows` by the lane that the ego is on, regardless of the ego's path."""
         s = self._situation
         x, y, heading = s.x[rows], s.y[rows], s.heading[rows]
         road, at = network.track_road(np.full(len(rows), -1), np.zeros(len(rows)), x, y, heading)

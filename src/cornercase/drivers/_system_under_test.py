@@ -44,7 +44,7 @@ class Ego:
     max_speed, max_acceleration, max_deceleration : float
         Limits in m/s and m/s²; infinite if the scenario file has none.
     values : mapping of str to object
-        Values of the scenario file's parameters that differ from the values in the file.
+        Parameters of the scenario file by name: only those whose value in this scenario differs from the file's.
 
     Examples
     --------
@@ -83,16 +83,16 @@ class SystemUnderTest(Configurable, ABC):
     Attributes
     ----------
     settings : dict
-        Everything that decisions depend on, as plain JSON values; by default the class. Options of the constructor that
-        are numbers, texts or booleans are stored with a study in any case. A study refuses any other option, such as a
-        list or a dict, unless `settings` has an entry under the option's name, as in
+        Everything that decisions depend on, as plain JSON values; by default only the name of the class. Options of the
+        constructor that are numbers, texts or booleans are stored with a study in any case. A study refuses any other
+        option, such as a list or a dict, unless `settings` has an entry under the option's name, as in
         ``self.settings = {"config": {"gain": 2.0}}``.
     mutations : tuple of Mutation, default empty
         Changes that make the function worse, for `cornercase reduce --kill-mutants` and `cornercase test --mutants`.
 
     See Also
     --------
-    Driver : The same for all scenarios at once, as arrays.
+    Driver : Base class of drivers that decide for all scenarios at once, with arrays.
     Control : Decision that a step may return.
 
     Examples
@@ -182,12 +182,16 @@ def _check_method_signatures(made: SystemUnderTest) -> None:
             own, called = (", ".join(("self", *names)) for names in (declared.parameters, arguments))
             cls = f"{type(made).__module__}:{type(made).__qualname__}"
             raise InputError(
-                f"The driver '{cls}' has {method}({own}), but is called as {method}({called}); write it like that."
+                f"The driver '{cls}' defines {method}({own}), but cornercase calls {method}({called}); define"
+                f" {method}({called})."
             ) from None
 
 
 class PerScenarioDriver(DrivingFunction):
-    """Driver that has its own `SystemUnderTest` object of a user in each scenario, made from a prototype."""
+    """Driver that drives each scenario with its own `SystemUnderTest` object.
+
+    Each object is made like `prototype`, the object that the user gave.
+    """
 
     def __init__(self, prototype: SystemUnderTest) -> None:
         _check_method_signatures(prototype)
@@ -227,13 +231,16 @@ class PerScenarioDriver(DrivingFunction):
             self._objects.append(made)
 
     def _create_object(self, numbers: Mapping[str, float]) -> SystemUnderTest:
-        """Return a new object like the prototype, with some numeric options changed."""
+        """Return a new object like the prototype, with the numeric options in `numbers` changed."""
         if not numbers:
             # A copy has also what a dataclass changes after its construction.
             with suppress(Exception):
                 return deepcopy(self.prototype)
         if is_dataclass(self.prototype) and vars(self.prototype.with_options()) != vars(self.prototype):
-            raise InputError("its __post_init__ changes its fields, so they cannot be varied; give it an __init__")
+            raise InputError(
+                "its dataclass changes fields in __post_init__, so the options cannot be varied; write an __init__"
+                " instead"
+            )
         made: SystemUnderTest = copy_with_numeric_options(self.prototype, numbers)
         return made
 

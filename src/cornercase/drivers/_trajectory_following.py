@@ -25,10 +25,11 @@ _CLOCK: Final = 1e-6
 
 
 class FollowedTrajectory:
-    """Trajectory that an ego follows from a position and time on; `given` is the trajectory of the driver.
+    """Trajectory that an ego follows, beginning at the position `x`, `y` at `time`.
 
-    Before the first time of the trajectory, the ego goes straight to the first point. If the next position is behind,
-    the ego drives backwards if it `may_reverse`, and turns around otherwise.
+    `given` is the trajectory as the driver gave it. Until the first instant of `given`, the ego goes straight to
+    the first point. If the next point lies behind the ego, an ego that `may_reverse` drives backwards; any other ego
+    turns around.
     """
 
     def __init__(self, given: Trajectory, time: float, x: float, y: float, *, may_reverse: bool) -> None:
@@ -43,7 +44,7 @@ class FollowedTrajectory:
     def move(
         self, time: float, x: float, y: float, heading: float, speed: float, dt: float
     ) -> tuple[float, float, float, float]:
-        """Return x, y, heading and speed at the end of a time step `dt` in s if the ego follows exactly."""
+        """Return x, y, heading and speed at the end of a time step of `dt` s, exactly on the trajectory."""
         if self._is_over(time + dt):
             speed = math.copysign(max(abs(speed) - FINAL_DECELERATION * dt, 0.0), speed) or 0.0
             return x + speed * dt * math.cos(heading), y + speed * dt * math.sin(heading), heading, speed
@@ -73,9 +74,9 @@ class FollowedTrajectory:
         wheelbase: float,
         response: float,
     ) -> tuple[float, float]:
-        """Return the acceleration in m/s² and the front wheel angle in rad with which a vehicle follows the trajectory.
+        """Return the acceleration in m/s² and the front wheel angle in rad that steer a vehicle along the trajectory.
 
-        `response` is the time in s by which the wheels lag behind.
+        `response` is the time in s by which the wheels lag behind a requested angle.
         """
         if self._path is None or self._is_over(time + dt):
             return -min(FINAL_DECELERATION, speed / dt), 0.0
@@ -95,7 +96,7 @@ class FollowedTrajectory:
 
     @cached_property
     def _travelled(self) -> FloatArray:
-        """Distance in m along the line through the points, at each point."""
+        """Distance in m of each point of the trajectory from the first point, along the line through the points."""
         steps = np.hypot(np.diff(self._x), np.diff(self._y))
         return np.concatenate([[0.0], np.cumsum(np.where(steps > _STANDSTILL, steps, 0.0))])
 

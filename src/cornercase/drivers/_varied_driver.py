@@ -9,14 +9,14 @@ from cornercase.drivers._base import Driver
 
 
 class VariedDriver(Driver):
-    """Base class of drivers of cornercase that can have other options in each scenario."""
+    """Base class of drivers of cornercase whose options can differ between scenarios."""
 
     @abstractmethod
     def vary(self, options: Sequence[Mapping[str, float]]) -> None:
-        """Change options of the started driver in each of N scenarios.
+        """Change options of the driver in each of N scenarios, after the driver was started.
 
         Parameters
         ----------
         options : sequence of mapping of str to float, length N
-            Changed options of each scenario by name.
+            For each scenario, the names of the changed options and their new values.
         """

@@ -1,4 +1,4 @@
-"""View of a system under test on its scenario; computed for all scenarios at once, on first use."""
+"""What a system under test sees of its scenario; computed for all scenarios at once, on first use."""
 
 from __future__ import annotations
 
@@ -185,14 +185,14 @@ class PathPoint(NamedTuple):
 
 
 class SharedView:
-    """View of an ego on the traffic in N scenarios at once; each quantity is computed on first use."""
+    """What the egos of N scenarios see of the traffic, as arrays; each quantity is computed on first use."""
 
     def __init__(self, situation: Situation, network: RoadNetwork | None = None) -> None:
         self.situation, self._network = situation, network
 
     @cached_property
     def _seen(self) -> tuple[FloatArray, FloatArray, IntArray]:
-        """Results of the kernel `look`: pose on the path (N, 3), view of A others (N, A, 8), leader (N,)."""
+        """Pose of the ego on its path (N, 3), A others as seen from the ego (N, A, 8), and index of the leader (N,)."""
         # Its kernels take long to import.
         from cornercase.drivers._kernels.ego_view import N_COLUMNS, look
 
@@ -235,7 +235,10 @@ class SharedView:
         return np.asarray(wrap_angle(self.situation.heading - self.own_pose_on_path[2]))
 
     def path_points(self, ahead: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return path points K distances in m ahead, relative to the ego: x, y, heading, curvature, (N, K) each."""
+        """Return the points of the path at the K distances `ahead` in m, measured along the path from the ego.
+
+        The results are x, y and heading relative to the ego, and the curvature of the path, each of shape (N, K).
+        """
         s = self.situation
         at = self.own_pose_on_path[0][:, None] + _limit_ahead(s.path, ahead)
         columns = (s.path.x, s.path.y, s.path.heading, s.path.curvature)
@@ -281,7 +284,7 @@ class SharedView:
         return boxes
 
     def object(self, scenario: int, other: int) -> ObjectView:
-        """Return another entity as seen from the ego of a scenario, both by index."""
+        """Return the other entity with index `other`, as seen from the ego of the scenario with index `scenario`."""
         s = self.situation
         x, y, turn, gap, closing, lateral, in_path, _ = self._seen[1][scenario, other].tolist()
         speed = float(s.others_speed[scenario, other])
@@ -306,7 +309,7 @@ class SharedView:
 
 
 class View:
-    """View of a system under test on its traffic situation in one time step.
+    """What a system under test sees of its traffic situation in one time step.
 
     Everything is computed on first use. If the driver has sensors, objects are as the sensors measure them; the road,
     the ego itself and the signals are always the true ones.
@@ -430,8 +433,8 @@ class View:
         Parameters
         ----------
         ahead : float
-            Distance along the path in m; beyond an end of the path, the end is returned. On a trajectory of the
-            scenario, larger distances count as 400 m.
+            Distance along the path in m; beyond an end of the path, the end is returned. If the scenario file gives
+            the ego a trajectory, a distance above 400 m counts as 400 m.
 
         Returns
         -------
@@ -449,7 +452,7 @@ class View:
 
 
 def _limit_ahead(path: DrivenPath, ahead: FloatArray | float) -> FloatArray | float:
-    """Return distances ahead on a path in m; on a trajectory of the scenario, at most 400 m."""
+    """Return distances ahead in m, limited to 400 m if the path is a trajectory of the scenario file."""
     return ahead if path.distance.ndim == 1 else np.minimum(ahead, FARTHEST_ON_TRAJECTORY)
 
 

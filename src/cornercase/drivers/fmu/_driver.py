@@ -109,9 +109,9 @@ class FmuDriver(DrivingFunction):
         return f"fmu:{self._file}:{text}" if text else f"fmu:{self._file}"
 
     def spec_with(self, changes: Mapping[str, float]) -> str:
-        """Return the driver's text, such as ``fmu:aeb.fmu:reaction=0.3``, with other values of some parameters.
+        """Return the driver as text, such as ``fmu:aeb.fmu:reaction=0.3``, with some parameters changed.
 
-        Values of parameters that are integers are rounded.
+        New values of integer parameters are rounded.
 
         Parameters
         ----------
@@ -188,7 +188,7 @@ class FmuDriver(DrivingFunction):
         Parameters
         ----------
         start : Start
-            Description of the batch; `Start.parameters` holds parameters of the FMU.
+            Description of the batch; `Start.parameters` has the FMU parameters that a search varies.
         """
         self._start = start
         self._display_name = f"the driver of {quote_name(start.body.name)} ({remove_folders(str(self))})"
@@ -277,7 +277,10 @@ class FmuDriver(DrivingFunction):
     def _check_decision_ranges(
         self, decisions: Mapping[str, FloatArray], active: BoolArray, failed: Mapping[int, str]
     ) -> dict[int, str]:
-        """Clip decisions to their ranges in place; return, by scenario, errors of decisions that are not usable."""
+        """Return, by scenario, errors for decisions that are not finite or out of range.
+
+        Values that only rounding takes out of range are no error. All decisions are clipped to their ranges in place.
+        """
         unusable: dict[int, str] = {}
         for output in self._map.outputs:
             values = decisions[output.decision]
@@ -303,7 +306,10 @@ class FmuDriver(DrivingFunction):
         acceleration: FloatArray,
         trajectories: dict[int, Trajectory],
     ) -> dict[int, str]:
-        """Store motion from the FMU's OSI messages in `acceleration` and `trajectories`; return errors by scenario."""
+        """Store the motion that the FMU's OSI messages demand in `acceleration` or `trajectories`.
+
+        Returns the errors of unusable messages, by scenario.
+        """
         assert self._processes is not None
         assert self._traffic is not None
         unusable: dict[int, str] = {}

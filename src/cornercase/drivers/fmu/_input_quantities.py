@@ -1,4 +1,4 @@
-"""Quantities of the traffic that an FMU's inputs can be given, by name, computed for a whole batch of scenarios."""
+"""Named quantities of the traffic that can be inputs of an FMU, computed for a whole batch of scenarios."""
 
 from __future__ import annotations
 
@@ -38,7 +38,10 @@ class Traffic:
         return np.argsort(np.hypot(x, y), axis=1, kind="stable")
 
     def get_others_field(self, name: str) -> FloatArray:
-        """Return a property of the others, such as ``"gap"``, nearest first, shape (N, A); NaN if there is none."""
+        """Return a property of the A other entities, such as ``"gap"``, the nearest first, shape (N, A).
+
+        Values are NaN for entities that do not exist, or that do not have the property.
+        """
         if name not in self._fields:
             values: FloatArray = np.take_along_axis(_OTHER_FIELDS[name](self), self._distance_order, axis=1)
             self._fields[name] = values
@@ -49,7 +52,7 @@ class Traffic:
         return {}
 
     def get_ranked_field(self, name: str, rank: int) -> FloatArray:
-        """Return a property of another entity by its rank in distance (0: nearest), shape (N,); NaN if none."""
+        """Return a property of the entity at a rank in distance (0: nearest), shape (N,); NaN without an entity."""
         values = self.get_others_field(name)
         return values[:, rank] if rank < values.shape[1] else np.full(len(values), np.nan)
 
@@ -88,7 +91,7 @@ class Traffic:
 
     @property
     def exists(self) -> FloatArray:
-        """1 for each of the A other entities that exists in a scenario, NaN if it does not, shape (N, A)."""
+        """1 where an other entity exists in a scenario, NaN where it does not, shape (N, A) for A other entities."""
         return np.where(np.isnan(self.situation.others_x), np.nan, 1.0)
 
 
@@ -97,7 +100,7 @@ class InputQuantity:
     """Quantity of the traffic that an input of an FMU can be given, such as the gap to the leader.
 
     `unit` is an SI unit. `compute` returns the values in N scenarios, shape (N,); NaN or infinity in scenarios without
-    the quantity. The FMU is then given `none`.
+    the quantity. In these scenarios the FMU is given the value `none` instead, such as a large gap.
     """
 
     name: str

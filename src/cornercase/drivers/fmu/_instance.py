@@ -1,6 +1,6 @@
 """Library and instances of an FMU in this process, through the C interface of FMI 2.0 and 3.0 for co-simulation.
 
-Only small modules are imported, since this code runs in the small processes of the FMU.
+This module imports only small modules, so that the child processes that run FMUs start quickly.
 """
 
 from __future__ import annotations
@@ -53,9 +53,9 @@ class FmuSource:
     """Data that are needed to load an unpacked FMU.
 
     `version` is the major version of FMI, `folder` the folder of the unpacked FMU, `library` the path of its shared
-    library, `token` its GUID or instantiation token. `log_categories` are the log categories for errors and warnings
-    that the FMU declares. `log_proxy` is the path of a library that inserts the arguments into log messages of FMI 2.0;
-    empty if there is none.
+    library, `token` its GUID or instantiation token. `log_categories` are the FMU's own categories of log messages
+    about errors and warnings. `log_proxy` is the path of a library that formats the log messages of FMI 2.0, in which
+    placeholders such as ``%d`` stand for arguments; empty if there is no such library.
     """
 
     version: int
@@ -192,7 +192,7 @@ class Fmu:
                 None,
             )
         if not component:
-            raise FmuError("its library returned no instance")
+            raise FmuError("its library could not create an instance of the FMU")
         if categories:
             names = (c_char_p * len(categories))(*(category.encode() for category in categories))
             flag = c_int if self.version == 2 else ctypes.c_bool
@@ -259,7 +259,7 @@ class Instance:
         self.fmu.check("ExitInitializationMode", self.fmu._exit_initialization(self.component))
 
     def bind_step(self, time: c_double, size: float) -> Callable[[], None]:
-        """Return a function that does a step of `size` s, from the time in `time` when the function is called."""
+        """Return a function that does a step of `size` s; the step begins at the time that `time` holds at the call."""
         fmu = self.fmu
         do_step = fmu.bind("DoStep", c_void_p(self.component), time, c_double(size), *fmu.step_arguments)
 

@@ -121,7 +121,7 @@ class InstanceServer:
         return bytes((c_uint32 * len(messages))(*map(len, messages))) + b"".join(messages)
 
     def step(self) -> dict[int, tuple[str, list[str], bool]]:
-        """Step the active scenarios; return, by failed scenario: the error, the log lines, and whether it is fatal."""
+        """Step the active scenarios; return (error, log lines, whether the error is fatal) for each failed scenario."""
         failures: dict[int, tuple[str, list[str], bool]] = {}
         for row, is_active in enumerate(bytes(self._active)):
             if not is_active or row in self._failed:
@@ -201,7 +201,11 @@ class InstanceServer:
             step()
 
     def end(self, reset: bool | None) -> bool | None:
-        """End a batch; return whether instances can be reused after a reset, or None while this is unknown."""
+        """End a batch; return whether instances can be reused after a reset.
+
+        `reset` is the answer so far: None if unknown. An unknown answer is found by repeating a recorded scenario after
+        a reset; without a recorded scenario, the answer remains None.
+        """
         running = [instance for instance in self._instances if instance is not None]
         recorded = self._instances[self._recorded_row] if self._recorded else None
         if reset is None and recorded is not None:

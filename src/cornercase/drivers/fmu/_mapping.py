@@ -88,7 +88,7 @@ class InputColumn:
 
 @dataclass(frozen=True)
 class Input:
-    """Input of an FMU and its values, one column each: an array has several values."""
+    """Input of an FMU, with a column for its value, or for each value if the input is an array."""
 
     variable: FmuVariable
     columns: tuple[InputColumn, ...]
@@ -275,7 +275,10 @@ class VariableMap:
         return variable
 
     def _unit_of(self, variable: FmuVariable, given: str | None, symbol: str, where: str) -> tuple[Unit, str]:
-        """Return a variable's unit, which must fit the SI unit `symbol`, and the remark of its `MappedVariable`."""
+        """Return the unit of a variable, and a remark about an assumed unit for `MappedVariable.remark`.
+
+        `given` is the unit in the map file, or None. Raises `InputError` if the unit does not fit the SI unit `symbol`.
+        """
         if given is not None:
             if given not in KNOWN_UNITS:
                 raise InputError(f"{where} has the unknown unit '{given}'; {suggest_name(given, KNOWN_UNITS)}")
@@ -324,7 +327,10 @@ def _group_by_type(variables: Sequence[FmuVariable]) -> list[list[int]]:
 
 
 def _check_entry(where: str, entry: object, keys: Sequence[str], example: str) -> dict[str, Any]:
-    """Return an entry of a map file as a dict with the key ``from``; `InputError` for unknown keys and wrong values."""
+    """Return an entry of a map file as a dict: a plain text becomes the value of the key ``from``.
+
+    Raises `InputError` for unknown keys and wrong values; `where` says in the message which entry is wrong.
+    """
     options = {"from": entry} if isinstance(entry, str) else entry
     if not isinstance(options, dict) or not isinstance(options.get("from"), str):
         raise InputError(f'{where}: give a name, as in "{example}" or {{ from = "{example}" }}.')

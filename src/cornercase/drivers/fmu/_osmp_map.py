@@ -29,8 +29,9 @@ class OsmpMap:
     """Selection of the OSI messages that are exchanged with an FMU.
 
     The FMU is given `inputs` in each step, and `static` once before the first step. `has_roads_once` is True if
-    `static` contains the roads. `motion` is the message with the motion that the FMU decides; None if `decides` is
-    False or the FMU writes none. `listing` has every message with its use (empty if unused) and a remark.
+    `static` contains the roads. `decides` says whether a message may decide the motion of the vehicle, and `motion` is
+    this message; None if the FMU writes no such message. `listing` has every message with its use (empty if unused) and
+    a remark.
     """
 
     def __init__(self, variables: Sequence[MessageVariable], *, decides: bool) -> None:
@@ -68,7 +69,7 @@ class OsmpMap:
         return bool(self.inputs or self.static or self.motion)
 
     def layouts(self, static: Sequence[bytes]) -> MessageLayouts:
-        """Return types and value references of the used messages; `static`: bytes of each message in `self.static`."""
+        """Return the layouts of the used messages; `static` has the content of each message in `self.static`."""
         return MessageLayouts(
             [(variable.kind, variable.references) for variable in self.inputs],
             [(self.motion.kind, self.motion.references)] if self.motion is not None else [],

@@ -224,7 +224,7 @@ class OsmpTraffic:
         heading = float(situation.heading[row])
         if not goal.HasField("position"):
             if not goal.HasField("acceleration"):
-                raise ValueError("it has neither a position nor an acceleration")
+                raise ValueError("the state has neither a position nor an acceleration")
             along: float = goal.acceleration.x * math.cos(heading) + goal.acceleration.y * math.sin(heading)
             return along
         yaw = goal.orientation.yaw if goal.orientation.HasField("yaw") else heading

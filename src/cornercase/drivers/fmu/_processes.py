@@ -74,7 +74,7 @@ class MessageLayouts:
 
 @lru_cache(maxsize=1)
 def process_reaper() -> Reaper:
-    """Return the shared reaper, which ends FMU processes and removes unpacked FMUs after this process has ended."""
+    """Return the shared reaper, which ends FMU processes and removes unpacked FMUs once cornercase has ended."""
     reaper = Reaper()
     # At the end of the program, finalizers run in reverse order: those of processes come first.
     weakref.finalize(process_reaper, reaper.close)
@@ -155,7 +155,7 @@ class FmuProcesses:
         return [row for process in self._used for row in process.messages]
 
     def end_batch(self) -> None:
-        """End a batch; instances are kept for reuse if they repeat the same outputs after a reset."""
+        """End a batch; keep instances for the next batch if an instance gives the same outputs again after a reset."""
         for process in self._used:
             try:
                 self._reset = process.end_batch(self._reset)
@@ -211,7 +211,10 @@ class _Process:
         messages: MessageLayouts,
         reset: bool | None,
     ) -> None:
-        """Begin a batch as in `FmuProcesses.begin_batch`; `reset`: whether instances can be reused, None if unknown."""
+        """Begin a batch as in `FmuProcesses.begin_batch`.
+
+        `reset` says whether instances can be reused after a reset; None if this is unknown.
+        """
         size, layouts = PROGRESS_BYTES + scenarios, list[list[Any]]()
         positions = list[int]()
         for table in (*inputs, *outputs):
@@ -346,7 +349,10 @@ class _Process:
 
 
 def _kill_when_hung(reference: weakref.ref[_Process], timeout: float) -> None:
-    """Run in a thread: kill the process if a call exceeds its time limit; `timeout` (s) sets how often to check."""
+    """Kill the process if a call exceeds the time limit; this function runs in a thread of its own.
+
+    A shorter `timeout` in s makes the function check more often.
+    """
     mark, since = (-1, -1), 0.0
     while True:
         process = reference()

@@ -23,8 +23,8 @@ _PER_SCENARIO: Final = (
 class Column:
     """Column of the table of numbers that a driving program is sent in each step.
 
-    `shape`: a number per scenario (``"M"``), per scenario and other entity (``"M, A"``), or per scenario and point of
-    the path ahead (``"M, K"``).
+    `shape` is ``"M"`` if the column has a number for each of M scenarios, ``"M, A"`` if it has a number for each of A
+    other entities in each scenario, and ``"M, K"`` if it has a number for each of K points of the path ahead.
     """
 
     name: str
@@ -117,7 +117,10 @@ def select_rows(situation: Situation, rows: IntArray) -> Situation:
 
 
 def compute_columns(situation: Situation, names: Sequence[str], ahead: FloatArray) -> dict[str, FloatArray]:
-    """Compute columns by name, and the columns about the points of the path `ahead` m ahead of the ego, shape (K,)."""
+    """Return the columns with the given names, and if `ahead` is not empty, the columns about the path.
+
+    `ahead` (K,) has the distances in m from the ego to the points of the path.
+    """
     shared = SharedView(situation)
     columns = {name: COLUMNS[name].compute(shared) for name in names}
     if len(ahead):

@@ -62,7 +62,10 @@ def pack_column(values: Any) -> bytes:
 
 
 def read_answer(answer: Mapping[str, Any], n_rows: int) -> tuple[Controls, dict[int, str]]:
-    """Decode a program's answer: controls, and failures by row (scenario); `ProtocolError` if it is invalid."""
+    """Return the controls in a program's answer, and the reasons of failed scenarios by row.
+
+    Raises `ProtocolError` if the answer is invalid.
+    """
     if unknown := [str(name) for name in answer if name not in _ANSWER_KEYS]:
         hint = suggest_name(unknown[0], _ANSWER_KEYS).rstrip(".?")
         raise ProtocolError(f"its answer has the unknown key '{unknown[0]}'; {hint}")
@@ -74,7 +77,7 @@ def read_answer(answer: Mapping[str, Any], n_rows: int) -> tuple[Controls, dict[
     for name in ("throttle", "brake"):
         pedal = getattr(controls, name)
         if bool(((pedal < 0.0) | (pedal > 1.0)).any()):
-            raise ProtocolError(f"its {name} is {pedal[(pedal < 0.0) | (pedal > 1.0)][0]:g}; it goes from 0 to 1")
+            raise ProtocolError(f"its {name} is {pedal[(pedal < 0.0) | (pedal > 1.0)][0]:g}; it has to be from 0 to 1")
     failures = {_check_row_index(row, n_rows): str(text) for row, text in _read_list(answer, "failures", 2)}
     for row, *columns in _read_list(answer, "trajectories", 4):
         try:

@@ -144,7 +144,7 @@ class ProcessFunction(DrivingFunction):
         return f"exec:{self._command}" + (f":{','.join(texts)}" if texts else "")
 
     def spec_with(self, changes: Mapping[str, float]) -> str:
-        """Return the driver's text, such as ``exec:./function:reaction=0.3``, with other values of some options.
+        """Return the driver as text, such as ``exec:./function:reaction=0.3``, with some options changed.
 
         Parameters
         ----------
@@ -324,13 +324,16 @@ class ProcessFunction(DrivingFunction):
         self._wanted = self._read_wanted_columns(answer.get("columns"))
 
     def _check_options(self, listed: object) -> None:
-        """Raise `InputError` for an option that is not listed; without a list (None), if it looks misspelt."""
+        """Raise `InputError` for an option that is not in the list of options that the program takes.
+
+        If the program gives no list (None), only options that look like a misspelt ``timeout`` or similar are refused.
+        """
         if listed is None:
             for name in self.options:
                 if (own := _find_misspelt_option(name)) is not None:
                     raise InputError(
-                        f"The driver '{self._text}' has the option '{name}', and its program does not list its options;"
-                        f" did you mean '{own}'?"
+                        f"The driver '{self._text}' has the option '{name}'; the program does not say which options it"
+                        f" takes; did you mean '{own}'?"
                     )
             return
         if not isinstance(listed, list) or not all(isinstance(name, str) for name in listed):
@@ -342,7 +345,7 @@ class ProcessFunction(DrivingFunction):
                 )
 
     def _read_wanted_columns(self, wanted: object) -> list[str]:
-        """Check the column names that a program wants; return them without columns about the path."""
+        """Check the names of the columns that a program wants; return these names without columns about the path."""
         if wanted is None:
             return [*COLUMNS]
         if not isinstance(wanted, list) or not all(isinstance(name, str) for name in wanted):
@@ -353,7 +356,8 @@ class ProcessFunction(DrivingFunction):
         of_path = [name for name in wanted if name in PATH_COLUMNS]
         if of_path and not len(self._ahead):
             raise ProtocolError(
-                f"it wants the column '{of_path[0]}', but gives no 'ahead', the distances of the path's points"
+                f"it wants the column '{of_path[0]}', but does not give 'ahead', the list of distances in m at which it"
+                " wants points of the path"
             )
         return [name for name in wanted if name in COLUMNS]
 
@@ -389,7 +393,7 @@ def _on_one_line(text: str) -> str:
 
 
 def _find_misspelt_option(name: str) -> str | None:
-    """Return the option of cornercase, such as ``timeout``, that `name` is probably a misspelling of; or None."""
+    """Return the option of cornercase, such as ``timeout``, that the user probably meant by `name`; None for none."""
     if name.casefold() in _OWN_OPTIONS:
         return name.casefold()
     close = difflib.get_close_matches(name, _OWN_OPTIONS, n=1, cutoff=_MISSPELT)
@@ -436,7 +440,10 @@ def _parse_value(text: str) -> bool | float | str:
 
 
 def _hash_command_files(words: list[str]) -> dict[str, str]:
-    """Return ``{"sha256": …}`` for all files among the words of a command; an empty dict if there are none."""
+    """Return ``{"sha256": …}`` with one checksum of all files that a command names, or else of its program.
+
+    Returns an empty dict if no file is found.
+    """
     paths = [path for word in words if (path := Path(word.rpartition("=")[2])).is_file()]
     # If no word is a file, the program is found by PATH.
     paths = paths or [Path(program) for word in words[:1] if (program := shutil.which(word)) is not None]

@@ -1,4 +1,4 @@
-"""Connections to external driving programs, which are started here or already listen on a port."""
+"""Connections to external driving programs, which cornercase starts, or which already listen on a port."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ class Peer(ABC):
 
 
 class Program(Peer):
-    """Driving program that is started here, with messages by stdin and stdout; stderr is appended to `log`."""
+    """Driving program that cornercase starts; messages go by stdin and stdout, and stderr is appended to `log`."""
 
     def __init__(self, words: Sequence[str], log: Path | None) -> None:
         # In its own process group, so that Ctrl-C does not reach the program, which ends when its stdin is closed.

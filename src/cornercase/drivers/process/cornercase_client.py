@@ -99,7 +99,8 @@ class Batch:
 class Step:
     """Time step of M scenarios, with A other entities, and K points of the path ahead.
 
-    `columns` are flat ``array('d')`` of M, M * A or M * K numbers by name, row by row.
+    `columns` has the name of each column with its numbers as a flat ``array('d')``: M, M * A or M * K numbers, first
+    all numbers of the first scenario, then of the second, and so on.
     """
 
     def __init__(self, message: Mapping[str, Any], batch: Batch, ahead: List[float]) -> None:
@@ -168,10 +169,16 @@ class View:
         return {name: states[self._row] for name, states in self._step.signals.items()}
 
     def path(self, ahead: float) -> PathPoint:
-        """Return the point of the ego's path `ahead` m ahead, interpolated in the points of ``serve(ahead=…)``."""
+        """Return the point of the ego's path at the distance `ahead` in m.
+
+        The point is interpolated between the points at the distances that were given as ``serve(ahead=…)``.
+        """
         distances = self._step.ahead
         if not distances:
-            raise ValueError("give the distances at which the path is sent: serve(MyFunction, ahead=range(0, 101))")
+            raise ValueError(
+                "view.path needs the distances in m at which cornercase sends the path, as in"
+                " serve(MyFunction, ahead=range(0, 101))"
+            )
         high = min(max(bisect.bisect_left(distances, ahead), 1), len(distances) - 1)
         low = max(high - 1, 0)
         gap = distances[high] - distances[low]
@@ -217,13 +224,14 @@ class BatchFunction:
         """Return the decisions for a time step of M scenarios, by name.
 
         ``acceleration``, ``steering``, ``throttle``, ``brake`` and ``lane_change`` are M numbers each, in a list or an
-        array (also of NumPy). ``trajectories`` and ``failures`` are dicts by row of the step. Each may be left out.
+        array (also of NumPy). ``trajectories`` and ``failures`` are dicts by row of the step. Any key may be left
+        out.
         """
         raise NotImplementedError
 
 
 class ScalarAdapter(BatchFunction):
-    """Driving function of a batch that drives each scenario with its own `Function` object, created by `make`."""
+    """Driving function for batches that creates a `Function` object by `make` for each scenario of a batch."""
 
     def __init__(self, make: Callable[..., Function], one_at_a_time: bool = False) -> None:
         self.make, self.one_at_a_time = make, one_at_a_time
@@ -278,9 +286,9 @@ def serve(
     """Run a driving function: answer the messages of cornercase until cornercase closes the connection.
 
     `make` is a class that derives from `Function`, or a function that returns an object of this kind. `ahead` are the
-    distances in m at which the path is sent, for `View.path`. With `port`, listen there for ``exec:tcp://HOST:PORT``,
-    one connection after the other, instead of using stdin and stdout. `one_at_a_time`: True if only one scenario may
-    run at a time, because the objects share something.
+    distances in m at which cornercase sends the path, for `View.path`. With `port`, the function listens on this port
+    for the driver ``exec:tcp://HOST:PORT``, one connection after the other, instead of using stdin and stdout.
+    `one_at_a_time`: True if only one scenario may run at a time, because the objects share something.
     """
     serve_batches(ScalarAdapter(make, one_at_a_time), ahead, port, host)
 

@@ -33,7 +33,9 @@ class SensorFusion:
         return len(self._sensors)
 
     def start(self, start: Start, parameters: Sequence[Mapping[str, FloatArray]] = ()) -> Start:
-        """Reset the sensors for a batch; return `start` for the driver, with the names of false objects in `others`.
+        """Reset the sensors for a batch; return `start` with the names of false objects appended to `start.others`.
+
+        The driver is started with the result.
 
         `parameters` are the `Start.parameters` of each sensor; by default all sensors are given `start.parameters`.
         """

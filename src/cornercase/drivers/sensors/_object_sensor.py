@@ -196,7 +196,7 @@ class ObjectSensor(Sensor):
         return SensedObjects(*delayed.transpose(1, 0, 2))
 
     def _forget(self, rows: BoolArray) -> None:
-        """Forget all objects in the scenarios of a mask, in which the sensor did not run in the previous step."""
+        """Forget all objects in the scenarios of the mask `rows`."""
         self._cycle[rows] = -1
         self._n_hits[rows], self._n_missed[rows], self._known[rows] = 0, _NEVER, False
         self._history_step[:, rows] = -1
@@ -232,7 +232,10 @@ class ObjectSensor(Sensor):
         self._measured_at[rows] = np.where(detected, s.time, self._measured_at[rows])
 
     def _find_in_sight(self, situation: Situation, rows: IntArray, pose: FloatArray) -> BoolArray:
-        """Return which of A objects are in sight in R scenarios, shape (R, A); `pose` of the sensor: shape (R, 3)."""
+        """Return which of A objects are in sight in the R scenarios `rows`, shape (R, A).
+
+        `pose` (R, 3) is the pose of the sensor.
+        """
         # Its kernels take long to import.
         from cornercase.drivers._kernels.visibility import find_visible_others
 
@@ -253,10 +256,11 @@ class ObjectSensor(Sensor):
     def _draw_false_objects(
         self, draws: FloatArray, situation: Situation, rows: IntArray, pose: FloatArray
     ) -> tuple[IntArray, IntArray, FloatArray]:
-        """Draw new false objects: return indices in `rows`, columns, and x, y, heading, speed, shape (4, number).
+        """Draw new false objects by the random numbers `draws`: at most one per cycle and scenario in `rows`.
 
-        At most one false object appears per cycle and scenario, anywhere in the field of view. A false object has the
-        ego's heading, and is not faster than the ego.
+        A false object appears anywhere in the field of view. It has the ego's heading, and is not faster than the ego.
+        Returns for each new object: the index of its scenario in `rows`, (n,); its number among the false objects of
+        the scenario, (n,); and its x, y, heading and speed, (4, n).
         """
         interval = np.maximum(self._option["period"], self._time_step)
         chance = -np.expm1(-self._option["false_rate"] * interval)[rows]

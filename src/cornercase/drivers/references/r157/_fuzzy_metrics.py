@@ -64,7 +64,9 @@ def is_laterally_safe(
     closing_speed: FloatArray,
     total_length: FloatArray,
 ) -> BoolArray:
-    """Return whether a vehicle next to the path never enters it, or more than 0.1 s after the driver has passed.
+    """Return whether a vehicle next to the driver's path stays out of the path until 0.1 s after the driver has passed.
+
+    Both keep their speeds.
 
     `gap` and `lateral_gap` are the gaps between the boxes in m, negative if they overlap. `approach_speed` (towards the
     path) and `closing_speed` are in m/s. `total_length` is the length of both boxes in m. See UN Regulation No. 157,

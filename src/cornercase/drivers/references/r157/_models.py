@@ -58,8 +58,9 @@ class RelativeMotion(NamedTuple):
     `gap` and `lateral_gap`: gap in m between the boxes along and across the path. `gap` is negative if the other is
     beside or behind, `lateral_gap` if the boxes overlap laterally. `approach_speed`: speed of the other towards the
     path in m/s. `speed` and `other_speed`: speeds of driver and other along the path in m/s. `acceleration`:
-    acceleration of the driver in m/s². `total_length`: length of both boxes in m. `was_ahead`: whether the other has
-    been in the driver's corridor since it was first seen, or cut in with a time to collision above 2 s.
+    acceleration of the driver in m/s². `total_length`: sum of the lengths of both boxes in m. `was_ahead`: True if
+    the driver approaches an entity that has been in the driver's corridor since it was first seen, or that entered the
+    corridor with a time to collision above 2 s.
     """
 
     gap: FloatArray
@@ -89,9 +90,10 @@ class SafetyAssessment(NamedTuple):
 class ReferenceModel:
     """Model of a reference driver.
 
-    `assess` assesses a `RelativeMotion`. `following_gap` returns the gap in m to a leader with equal speed in m/s.
-    `delay` is the time in s from the first unsafe instant to braking, and `delayed_deceleration` the deceleration in
-    m/s² during the delay. `jerk` in m/s³ limits how fast the deceleration builds up.
+    `assess` assesses a `RelativeMotion`. `following_gap` returns the gap in m that the driver keeps to a leader of
+    equal speed; its argument is this speed in m/s. `delay` is the time in s from the first unsafe instant to
+    braking, and `delayed_deceleration` the deceleration in m/s² during the delay. `jerk` in m/s³ limits how fast the
+    deceleration builds up.
     """
 
     title: str
@@ -103,11 +105,11 @@ class ReferenceModel:
 
 
 class BrakingReaction:
-    """State of a reference driver's reaction in N runs: a delay, then braking.
+    """State of a reference driver's reaction in N simulated scenarios: a delay, then braking.
 
-    The delay begins at the first unsafe instant. The time of the delay passes only at unsafe instants, and the delay
-    never restarts. When the situation is safe again, the driver keeps its speed. `reacted` (N,) says
-    whether any instant so far was unsafe; `delay` (N,) is the time in s that is left.
+    The delay begins at the first unsafe instant. The delay stands still while the situation is safe, and never
+    restarts. When the situation is safe again, the driver keeps its speed. `reacted` (N,) is True if at least one
+    instant so far was unsafe; `delay` (N,) is the time in s that is left of the delay.
     """
 
     def __init__(self, reference: ReferenceModel, runs: int) -> None:
@@ -117,10 +119,10 @@ class BrakingReaction:
         self.reacted = np.zeros(runs, dtype=np.bool_)
 
     def acceleration(self, unsafe: BoolArray, deceleration: FloatArray, time_step: float) -> FloatArray:
-        """Advance by a time step; return the acceleration in m/s², which is 0 in safe runs.
+        """Advance by a time step; return the acceleration in m/s², which is 0 in scenarios that are not `unsafe`.
 
-        `deceleration` is the deceleration in m/s² that the driver wants when it brakes. The state of safe runs does not
-        change.
+        `deceleration` is the deceleration in m/s² that the driver wants when it brakes. The state does not change in
+        scenarios that are not `unsafe`.
         """
         model = self._reference
         brakes = unsafe & (self.delay <= _TOLERANCE)
@@ -218,7 +220,10 @@ def _cc_human_following_gap(speed: FloatArray) -> FloatArray:
 
 
 def _fsm_following_gap(speed: FloatArray) -> FloatArray:
-    """Return the smallest gap in m that is safe, with both margins, if the leader brakes as hard as it can."""
+    """Return the smallest gap in m to a leader of equal speed that is safe if the leader brakes hard.
+
+    Two margins of 2 m are added: the gap at rest, and the margin of the comfortable distance.
+    """
     stops, other_stops = speed**2 / (2.0 * COMFORTABLE_DECELERATION), speed**2 / (2.0 * OTHER_DECELERATION)
     return np.asarray(speed * REACTION_TIME + stops - other_stops + 2.0 * SAFETY_MARGIN)
 

@@ -31,7 +31,7 @@ class ReferenceOutcome:
     """Outcome of a scenario with a reference driver in control of the ego.
 
     `collides` is None if the regulation does not define the reference driver for this scenario. `time` is the time of
-    the collision in s. If the regulation does not count a collision, `collides` is False, but `time` is given.
+    the collision in s. After a collision that the regulation does not count, `collides` is False, but `time` is given.
     """
 
     collides: bool | None
@@ -62,8 +62,8 @@ def assess_preventability(
 
     The reference drivers of UN Regulation No. 157 do not apply to every encounter; `collides` is None if they do not.
     The entity that the ego meets, and the entity that the reference driver collides with, must be motorway vehicles.
-    Neither may come from behind (with the whole box behind the ego just before contact). The directions of these
-    entities and of the ego must not differ by more than 45° within the last 3 s before the encounter.
+    Neither of these two entities may come from behind, with its whole box behind the ego just before contact. Within
+    the last 3 s before the encounter, the direction of each of them may differ by at most 45° from the ego's.
 
     If the time to collision is above 2 s when a vehicle cuts in, the encounter ends without danger for ``cc-human``.
     Later collisions with that vehicle do not count (Annex 4, Appendix 3).
@@ -129,7 +129,10 @@ def _is_covered_by_regulation(recording: Recording, ego: str, other: str, time: 
 
 
 def _had_harmless_cut_in(run: Recording, ego: str, hit_collision: Collision) -> bool:
-    """Return whether the vehicle that the ego hits cut in earlier without danger: the collision does not count then."""
+    """Return whether the vehicle that the ego hits cut in earlier, with a time to collision above 2 s.
+
+    The regulation does not count the collision after such a cut-in.
+    """
     i, other_rows = run.entity_index(ego), [k for k, name in enumerate(run.names) if name != ego]
     valid = np.isfinite(run.x[i]) & (run.time <= hit_collision.time + _TIME_TOLERANCE)
     situation = _stack_instants(run, i, other_rows, valid)
@@ -144,7 +147,7 @@ def _had_harmless_cut_in(run: Recording, ego: str, hit_collision: Collision) -> 
 
 
 def _stack_instants(run: Recording, ego_row: int, other_rows: list[int], is_present: BoolArray) -> Situation:
-    """Return the instants of a recording as parallel scenarios of one situation; the path is the path driven."""
+    """Return a situation in which each instant of a recording is a scenario; the path is the one that the ego drove."""
     x, y, heading = run.x[ego_row, is_present], run.y[ego_row, is_present], run.heading[ego_row, is_present]
     zeros = np.zeros(len(x))
     return Situation(

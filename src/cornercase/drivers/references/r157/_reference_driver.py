@@ -28,7 +28,8 @@ class ReferenceDriver(VariedDriver):
     Parameters
     ----------
     name : {"cc-human", "fsm", "rss", "reg157"}
-        Careful and competent human, fuzzy safety model, Responsibility-Sensitive Safety, reaction time of 5.2.5.2.
+        Reference driver: careful and competent human, fuzzy safety model, Responsibility-Sensitive Safety, or driver
+        with the reaction time of paragraph 5.2.5.2 of the regulation.
     delay : float, optional
         Time in s from the first unsafe instant to braking; by default the delay in the regulation.
 

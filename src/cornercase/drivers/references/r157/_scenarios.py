@@ -46,9 +46,9 @@ class EncounterOutcome(NamedTuple):
     crash : ndarray of bool, shape (N,)
         True if the ego touches another vehicle.
     proactive, critical : ndarray of float64, shape (N,)
-        Fuzzy surrogate safety metrics of the driver ``fsm``; 0 for other drivers. Usually the maximum of the run. In a
-        cut-out, the values towards the standing car when the car ahead leaves the middle of its lane, or 0 if the car
-        ahead crashes.
+        Fuzzy surrogate safety metrics of the driver ``fsm``; 0 for other drivers. In cut-ins and decelerations, the
+        largest values before a crash. In cut-outs, the values with respect to the standing car at the instant when
+        the car ahead leaves the middle of its lane; 0 if the car ahead crashes.
     gap : ndarray of float64, shape (N,)
         Initial gap in m to the car ahead.
 
@@ -72,8 +72,8 @@ def drive_cut_in(
 ) -> EncounterOutcome:
     """Simulate a reference driver while a car cuts in from the next lane.
 
-    The other car moves from the middle of the next lane to the middle of the ego's lane. Before this move, its
-    lateral speed rises with 1.5 m/s².
+    The other car moves from the middle of the next lane to the middle of the ego's lane at a constant lateral speed.
+    To reach this speed in the middle of the next lane, the other car accelerates laterally before, with 1.5 m/s².
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def drive_cut_in(
     speed, other_speed : ndarray of float64, shape (N,)
         Initial speed of the ego, and speed of the other car, in m/s.
     gap : ndarray of float64, shape (N,)
-        Bumper-to-bumper gap in m when the other car has reached its lateral speed, still one lane width aside.
+        Bumper-to-bumper gap in m when the other car has just reached its lateral speed, in the middle of the next lane.
     lateral_speed : ndarray of float64, shape (N,)
         Final lateral speed of the other car in m/s.
 
@@ -148,7 +148,7 @@ def drive_cut_in(
 def drive_cut_out(name: str, speed: FloatArray, front_gap: FloatArray, lateral_speed: FloatArray) -> EncounterOutcome:
     """Simulate a reference driver behind a car that leaves the lane in front of a standing car.
 
-    If the car that cuts out hits the standing car, it stops immediately.
+    A car that cuts out and hits the standing car stops immediately.
 
     Parameters
     ----------
@@ -157,10 +157,10 @@ def drive_cut_out(name: str, speed: FloatArray, front_gap: FloatArray, lateral_s
     speed : ndarray of float64, shape (N,)
         Speed in m/s of the ego and of the car that it follows.
     front_gap : ndarray of float64, shape (N,)
-        Gap in m from the followed car to a standing car of 4.3 m length. The simulated standing car is 5 m long, with
-        the same centre.
+        Initial gap in m from the followed car to the standing car, defined for a standing car of 4.3 m length. The
+        simulated standing car has the same centre, but is 5 m long.
     lateral_speed : ndarray of float64, shape (N,)
-        Lateral speed in m/s of the cut-out, from the start.
+        Lateral speed in m/s of the car that cuts out, constant from the first instant.
 
     Returns
     -------
@@ -259,7 +259,10 @@ def drive_deceleration(name: str, speed: FloatArray, deceleration: FloatArray) -
 
 
 def _lateral_ramp(lateral_speed: FloatArray) -> tuple[BoolArray, FloatArray]:
-    """Return a mask of time steps in which the lateral speed rises, (steps, N), and the distance in m so far, (N,)."""
+    """Return how a car reaches its lateral speed: a mask of the time steps in which the speed rises, (steps, N).
+
+    The second result is the lateral distance in m that the car covers in these time steps, (N,).
+    """
     steps = np.ceil(lateral_speed / _LATERAL_SPEED_STEP)
     instants = np.arange(max(int(steps.max(initial=0.0)), 1))[:, None]
     rising = instants < steps
