@@ -131,7 +131,7 @@ def test_a_fingerprint_that_somebody_made_up_leads_nowhere(far, tmp_path):
         (lambda p: loose.optimizers.Bayes(filling="x"), "`filling` 'x': give a number from 0 to 1."),
         (lambda p: loose.optimizers.Committee(candidates=0), "`candidates` 0: give a whole number of 1 or more."),
         (lambda p: loose.optimizers.Evolutionary(population=1), "`population` 1: give a whole number of 2 or more."),
-        (lambda p: loose.optimizers.Optuna(Builtin()), "`sampler` Builtin(): give a name, one of tpe, nsga2, cmaes"),
+        (lambda p: loose.optimizers.Optuna(Builtin()), "`sampler` Builtin(): give the name of a sampler of Optuna, one of tpe, nsga2, cmaes"),
         (lambda p: loose.compare("a.db", 3), "`new` 3: give the path of a file or folder."),
         (lambda p: problem_of(X, threshold=float("nan")), "`threshold` nan: give a finite number."),
         (lambda p: loose.LogicalScenario.read(X, ranges={"ego_start": 20}), "give two bounds, as in {'ego_start': (20, 80)}"),

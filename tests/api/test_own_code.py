@@ -327,7 +327,9 @@ def test_a_search_that_began_again_is_told_why(problem, tmp_path):
 
 
 def test_an_object_is_no_sampler_of_optuna():
-    with pytest.raises(cc.InputError, match=r"`sampler` <object object .*>: give a name, one of tpe, nsga2"):
+    with pytest.raises(
+        cc.InputError, match=r"`sampler` <object object .*>: give the name of a sampler of Optuna, one of tpe, nsga2"
+    ):
         cc.optimizers.Optuna(object())  # type: ignore[arg-type]
 
 

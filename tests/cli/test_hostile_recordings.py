@@ -109,7 +109,7 @@ HOSTILE = {
         erg(
             lambda _: "File.At.1.Name = Time\nFile.At.1.Type = 0 Bytes\n", lambda data: data[:10] + b"\0\0" + data[12:]
         ),
-        "records without content",
+        "all quantities have a size of 0 bytes",
     ),
     "a quantity twice": (erg(lambda text: text.replace("Car.v", "Time")), "names a quantity twice"),
     "blanks without end": (erg(lambda text: text + "File.At.1.Type =" + " " * 200_000 + "x" + "\n" * 200_000), "'x'"),

@@ -67,7 +67,7 @@ class OwnSearch(Sobol):
 def test_a_search_of_the_users_own_is_to_be_given_again(tmp_path):
     given: dict[str, Any] = {**ROLES, "metrics": "ttc"}
     explore(CROSSING, tmp_path / "own.db", **given, optimizer=OwnSearch(), budget=2)
-    with pytest.raises(InputError, match="which is none of cornercase"):
+    with pytest.raises(InputError, match="which is not among those of cornercase"):
         explore(CROSSING, tmp_path / "own.db", **given, budget=4)
     explore(CROSSING, tmp_path / "own.db", **given, optimizer=OwnSearch(), budget=4)
 

@@ -207,7 +207,7 @@ class VehicleMover:
     def _set_path_tracking_steering(
         self, situation: Situation, begin: PlanarMotion, steering: FloatArray, rows: BoolArray
     ) -> None:
-        """Set the steering angles with which vehicles follow their path, in the scenarios of the mask `rows`."""
+        """Set the steering angles that follow the path, in the scenarios of the mask `rows`."""
         if rows.any():
             ahead = begin.speed * (0.5 * situation.time_step + self._response)
             poses = locate_on_path(situation.path, situation.distance, begin.x, begin.y, begin.heading, ahead)

@@ -1,4 +1,4 @@
-"""Optimizers, which propose the scenarios to run, by name, and the base class for your own optimizers."""
+"""Optimizers, which propose the scenarios to run; their registry, and the base class for your own optimizers."""
 
 import lazy_loader as lazy
 

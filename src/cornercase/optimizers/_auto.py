@@ -46,8 +46,9 @@ class Auto(Committee):
        the predictor with the smallest out-of-fold log loss of the observed outcomes.
     5. If this predictor is the Gaussian process, the score is smooth. Then points are chosen by the straddle heuristic,
        as in `LevelSet`. Otherwise the points with the largest product of uncertainty and distance are chosen. The
-       uncertainty is as in `Committee`: high if p is near one half, or if the branch is uncertain. The distance to the
-       nearest scenario that was run or chosen counts more along a coordinate with a short length scale.
+       uncertainty is as in `Committee`: high if p is near one half, or if it is uncertain to which branch (such as who
+       is first) a candidate belongs. The distance is the one to the nearest scenario that was run or chosen; it counts
+       more along a coordinate with a short length scale.
     6. Up to 15 % of the points are downhill from local minima of the scores that do not reach the threshold, to find
        further critical regions.
 
@@ -65,7 +66,7 @@ class Auto(Committee):
     candidates : int, default 3072
         Number of candidates from which the points of a round are chosen.
     filling : float, default 0.2
-        Fraction of the points that fills the space, from 0 to 1.
+        Fraction of the points that come from the Sobol' sequence, from 0 to 1.
 
     Raises
     ------
@@ -101,10 +102,10 @@ class Auto(Committee):
         self._n_conditioned = self._n_learned
 
     def _count_to_learn_from(self) -> int:
-        """Return the number of scenarios, from the first on, from which the models are learned.
+        """Return how many of the first scenarios the models are learned from.
 
-        While all finished scenarios are critical, or none is, this number grows by tens. It also includes the first
-        scenarios on both sides of the threshold.
+        While all finished scenarios are critical, or none is, this number grows by tens, until it includes critical and
+        uncritical scenarios.
         """
         number, latest = super()._count_to_learn_from(), len(self._scores) // MIN_NEW_SCENARIOS * MIN_NEW_SCENARIOS
         finished, critical = self._is_finished, self._criterion.is_critical(self._scores)
@@ -117,7 +118,7 @@ class Auto(Committee):
         return latest if np.ptp(self._scores[:latest][finished[:latest]]) > 0.0 else number
 
     def _condition_at_multiples_of_five(self) -> None:
-        """Condition the committee on further scenarios whenever their number reaches a multiple of five."""
+        """Let the committee use further results, whenever the number of scenarios has reached a multiple of five."""
         count = len(self._points) // _CONDITIONING_STEP * _CONDITIONING_STEP
         if count > self._n_conditioned:
             self._condition_committee(count)
@@ -139,7 +140,7 @@ class Auto(Committee):
     def _points_below_local_minima(self, candidates: FloatArray, n: int) -> FloatArray:
         """Return candidates that lie downhill from local minima of the scores.
 
-        Their number depends only on the number of proposals.
+        How many are sought depends only on the number of points that were proposed.
         """
         before, after = (math.floor(_LOCAL_MINIMA_FRACTION * k) for k in (self._n_proposed, self._n_proposed + n))
         count = min(after - before, n)
@@ -163,7 +164,7 @@ class Auto(Committee):
     def _choose_by_committee(self, candidates: FloatArray, filling: FloatArray, n: int) -> IntArray:
         """Choose `n` candidates about which the committee is uncertain.
 
-        They are far from each other and from scenarios that were run.
+        The chosen candidates are far from each other and from scenarios that were run.
         """
         x = self._encode(candidates)
         gain = committee_acquisition(*self._committee.predict(self._model_coordinates(candidates)))

@@ -46,9 +46,10 @@ class Optimizer(Configurable, ABC):
         True if `warm_start` accepts the scores of another study.
     requires : frozenset of {"threshold", "budget", "features"}, default empty
         Arguments of `prepare` in addition to ``space`` and ``seed``: ``threshold``, the score up to which a scenario is
-        critical; ``budget``, the total number of scenarios; ``features``, the `Feature` of each column. If the budget
-        is required, proposals depend on it, so a study keeps its initial budget. If features are required, `tell` takes
-        them as third argument, shape (m, f), NaN for a scenario that failed.
+        critical; ``budget``, the total number of scenarios; ``features``, the f features of recordings (`Feature`)
+        whose values `tell` gets. If the budget is required, proposals depend on the budget, so a study keeps its
+        initial budget. If features are required, `tell` takes their values as third argument, shape (m, f), NaN for a
+        scenario that failed.
     is_stateful_ask : bool, default False
         True if proposals also depend on earlier calls of `ask`. If a search is continued, these calls are repeated.
 
@@ -130,7 +131,7 @@ class Optimizer(Configurable, ABC):
         budget : int, optional
             Total number of scenarios.
         features : sequence of Feature, optional
-            Columns of the features that `tell` gets. By default all registered features.
+            Features whose values `tell` gets, one per column. By default all registered features.
 
         Returns
         -------
@@ -162,7 +163,7 @@ class Optimizer(Configurable, ABC):
         space : ParameterSpace
         seed : int
         *further, **required
-            Arguments that the optimizer `requires`, by name.
+            The arguments that the attribute `requires` lists, such as ``threshold=0.5``.
 
         Raises
         ------

@@ -45,7 +45,7 @@ class Bayes(CandidateOptimizer):
     features : int, default 500
         Number of random features that approximate the kernel.
     filling : float, default 0.3
-        Fraction of the points that fills the space; 0 is the paper's setting.
+        Fraction of the points that come from the Sobol' sequence; 0 is the paper's setting.
 
     Raises
     ------
@@ -100,7 +100,10 @@ class Bayes(CandidateOptimizer):
             )
 
     def _process_coordinates(self, points: FloatArray) -> FloatArray:
-        """Return the coordinates of points for the process, (n, e); any two choices of a parameter are equidistant."""
+        """Return the coordinates of points for the Gaussian process, shape (n, e).
+
+        A parameter with choices has one coordinate per choice, so that all its choices are equally far apart.
+        """
         return 2.0 * encode_points(self._space, points) - 1.0
 
     def _standardized_negative_scores(self, scores: FloatArray) -> FloatArray:
@@ -143,8 +146,8 @@ def _fit_feature_process(points: FloatArray, values: FloatArray, features: int) 
 def _isolate_physbo(seed: int) -> Iterator[None]:
     """Run PHYSBO without output and on one thread, and restore NumPy's global random generator afterwards.
 
-    PHYSBO draws from this generator. Its matrices are small, so more threads would not be faster. Sums in another order
-    would give other points.
+    PHYSBO draws from NumPy's global generator. Several threads could add numbers in another order, and so give slightly
+    different points. They would not be faster, since PHYSBO's matrices are small.
     """
     state: Any = np.random.get_state()  # noqa: NPY002
     try:

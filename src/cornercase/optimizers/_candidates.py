@@ -29,9 +29,9 @@ class CandidateOptimizer(Optimizer):
     and so on to 100, 110, 121. Failed scenarios count. In between, the model is only conditioned on the new scores. So
     proposals depend on the observed results only, not on the size of rounds.
 
-    In a search without rounds, pending points (proposed, but without a result) count towards the space-filling
-    fraction. The model takes the positions of pending points, and of the space-filling points of the same round, into
-    account without a score.
+    In a search without rounds, some points are pending: proposed, but without a result. The fraction of space-filling
+    points is a fraction of all proposed points, including pending ones. The model knows the positions of pending
+    points, and of the space-filling points of the same round, but no scores of them.
 
     A subclass sets `initial`, the number of points before anything is learned, and `_filling`, the fraction of all
     points that fills the space.
@@ -56,7 +56,7 @@ class CandidateOptimizer(Optimizer):
         return self.ask_async(n, self._points[:0])
 
     def ask_async(self, n: int, pending: FloatArray, *lies: Any) -> FloatArray:
-        """Propose points while others are pending; the model takes `pending` into account without assumed scores."""
+        """Propose points while others are pending; the model knows where `pending` points are, but not their scores."""
         with single_threaded_blas():
             return self._propose(n, pending)
 
@@ -104,7 +104,7 @@ class CandidateOptimizer(Optimizer):
         return int(np.random.SeedSequence([self._seed, number]).generate_state(1)[0])
 
     def _count_to_learn_from(self) -> int:
-        """Return the number of scenarios, from the first on, from which the model is learned."""
+        """Return how many of the first scenarios the model is learned from."""
         count = len(self._scores)
         number = min(MIN_NEW_SCENARIOS, count)
         while (more := number + max(MIN_NEW_SCENARIOS, int(self.relearn_growth * number))) <= count:
@@ -116,13 +116,16 @@ class CandidateOptimizer(Optimizer):
         return math.floor(self._filling * n_points + 1e-9)
 
     def _draw_round_candidates(self, count: int, filling: FloatArray) -> FloatArray:
-        """Draw candidates for this round, shape (m, d), neither observed nor in `filling`, shape (f, d)."""
+        """Draw candidates for this round, shape (m, d), that were not observed before.
+
+        Points in `filling`, shape (f, d), which are pending or already chosen for this round, are left out.
+        """
         return self._draw_candidates(self._round_seed, count, np.concatenate([self._points, filling]))
 
     def _draw_candidates(self, seed: int, count: int, exclude: FloatArray) -> FloatArray:
-        """Draw candidates from a sequence with its own seed, shape (m, d).
+        """Draw candidates from a new Sobol' sequence with the given seed, shape (m, d).
 
-        None of them is in `exclude`, shape (k, d).
+        Points in `exclude`, shape (k, d), are left out.
         """
         sequence = Sobol().start(self._space, seed)
         # If the sequence observes the excluded points, this is faster than to filter all drawn points afterwards.

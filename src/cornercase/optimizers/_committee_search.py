@@ -47,10 +47,10 @@ class Committee(WarmStartOptimizer):
     While all scenarios are critical, the second highest score replaces the threshold. If scenarios fail, trees learn
     which scenarios fail, and likely failures are avoided.
 
-    With a warm start, the prediction of the other study is an additional coordinate (`SourceStudyModel`) for those
-    classifiers that become better by it. Half of the first 10 points are on the boundary that the other study predicts.
-    If the other study predicts the scores of these points, the classifiers learn from fewer points than without a warm
-    start.
+    With a warm start, the prediction of another study is an additional coordinate (`SourceStudyModel`) of those
+    classifiers that predict better with this coordinate. Half of the first 10 points are on the boundary that the other
+    study predicts. If the other study predicts the scores of these points well, the classifiers learn from fewer points
+    than without a warm start.
 
     The kernels of the committee are learned again after every ten new scores, or when the number of scores has grown by
     a quarter if that is later.
@@ -60,7 +60,7 @@ class Committee(WarmStartOptimizer):
     candidates : int, default 4096
         Number of candidates from which the points of a round are chosen; 85 % of them are near critical scenarios.
     filling : float, default 0.15
-        Fraction of the points that fills the space.
+        Fraction of the points that come from the Sobol' sequence.
 
     Raises
     ------
@@ -139,7 +139,7 @@ class Committee(WarmStartOptimizer):
         return candidates[_choose_spread_out(x * sides, gain, encode_points(self._space, sampled) * sides, sides, n)]
 
     def _condition_committee(self, count: int | None = None) -> None:
-        """Condition the committee on the finished scenarios among the first `count`, without learning kernels again.
+        """Let the committee take all finished ones of the first `count` scenarios into account, with the same kernels.
 
         By default, all finished scenarios are used.
         """
@@ -182,9 +182,10 @@ class Committee(WarmStartOptimizer):
 
 
 def coordinate_scales(process: GaussianProcess, n_coordinates: int) -> FloatArray:
-    """Return the scales of the coordinates for distances, shape (e,).
+    """Return the factors by which coordinates are multiplied before distances are computed, shape (e,).
 
-    The scale is 1 for the coordinate with the shortest length scale of the process, and less for all others.
+    The factor is 1 for the coordinate with the shortest length scale of the process, along which scores change fastest,
+    and at most 1 for the others.
     """
     # The prediction of another study is not a coordinate of the space.
     length_scales = process.kernel.length_scales[:n_coordinates]
@@ -215,8 +216,9 @@ def _choose_spread_out(
 ) -> IntArray:
     """Choose `n` of the points (m, e), one after the other, by the largest product of gain (m,) and distance.
 
-    The distance is to the nearest of the `sampled` points (k, e) and the points chosen before. Distances are limited to
-    the spacing of points that are spread evenly in a box with these `sides` (e,).
+    The distance is the one to the nearest point that is in `sampled` (k, e) or was chosen before. The points lie in a
+    box with the lengths of sides `sides` (e,). A distance counts at most as much as the distance between neighbours if
+    the sampled points were spread evenly in this box: beyond that, only the gain matters.
     """
     # Points this far apart do not differ along short sides: use the longest sides, as many as maximize the spacing.
     longest = np.sort(sides)[::-1]

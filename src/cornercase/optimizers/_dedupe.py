@@ -1,4 +1,4 @@
-"""Removal of scenarios from proposals that were observed before or are proposed twice."""
+"""Removal of proposed scenarios that were observed before, or that are proposed twice."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ class Deduplicator:
         return self.filter_snapped(snapped[self._space.is_admissible(snapped)], exclude)
 
     def filter_snapped(self, points: FloatArray, exclude: FloatArray | None = None) -> FloatArray:
-        """Return the distinct points that can be proposed, shape (m, d), as `filter` does, in order.
+        """Do the same as `filter`, for points that are already snapped and fulfil the constraints.
 
-        The given points are already snapped and fulfil the constraints.
+        Return the distinct points that can be proposed, in order, shape (m, d).
         """
         excluded = self._remembered if exclude is None else self._remembered | _point_keys(self._space.snap(exclude))
         if no_duplicates(points, excluded):

@@ -30,7 +30,8 @@ class Evolutionary(Optimizer):
     Parameters
     ----------
     population : int, default 40
-        Number of initial points of the Sobol' sequence, and of the best scenarios that can be parents.
+        Number of best scenarios that can be parents. Until this number of scenarios is finished, points come from the
+        Sobol' sequence.
 
     Raises
     ------
@@ -110,9 +111,9 @@ class Evolutionary(Optimizer):
         return accepted
 
     def _inherit_choices(self, children: FloatArray, parents: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """Give each child the choices of random parents in the parameters with choices.
+        """Set the parameters with choices of each child: each takes the choice of a random parent.
 
-        Each choice is instead drawn at random with a probability of 1/d; d is the number of parameters.
+        With a probability of 1/d, where d is the number of parameters, the choice is drawn at random instead.
         """
         inherited = parents[rng.integers(len(parents), size=children.shape), np.arange(children.shape[1])]
         new = rng.random(children.shape)

@@ -47,13 +47,14 @@ class LevelSet(WarmStartOptimizer):
     Up to 15 % of the points are downhill from local minima of the scores that do not reach the threshold
     (`suggest_below_local_minima`), to find further critical regions.
 
-    If scenarios have failed, a process of failures excludes candidates with a probability of failure above 25 % that
-    is also above 1.25 times the fraction of failed scenarios. The Sobol' sequence does not exclude them.
+    If scenarios have failed, a second Gaussian process predicts the probability that a candidate fails. A candidate is
+    excluded if this probability is above 25 %, and also above 1.25 times the fraction of scenarios that failed so far.
+    Points of the Sobol' sequence are not excluded.
 
-    The kernel is learned again, and candidates are drawn, after every ten new scenarios, or when the number of
-    scenarios has grown by a tenth if that is later. The best 4096 candidates serve for the rounds until then.
+    After every ten new scenarios, or when the number of scenarios has grown by a tenth if that is later, the kernel is
+    learned again and new candidates are drawn. The best 4096 of them serve for all rounds until the next such time.
 
-    With a warm start, the prediction of the other study is an additional coordinate of the process
+    With a warm start, the prediction of another study is an additional coordinate of the process
     (`SourceStudyModel`). Half of the first 10 points are on the boundary that the other study predicts. If the other
     study predicts the scores of these points, the process is learned from fewer points than without a warm start.
 
@@ -64,7 +65,7 @@ class LevelSet(WarmStartOptimizer):
     candidates : int, default 20000
         Number of candidates from which the points are chosen.
     filling : float, default 0.2
-        Smallest fraction of the points that fills the space, from 0 to 1.
+        Smallest fraction of the points that come from the Sobol' sequence, from 0 to 1.
 
     Raises
     ------
@@ -123,7 +124,7 @@ class LevelSet(WarmStartOptimizer):
         self._all_candidates = candidates
 
     def _mask_unlikely_to_fail(self, candidates: FloatArray) -> BoolArray:
-        """Return the mask of the candidates that are unlikely to fail, according to a process of failures."""
+        """Return the mask of the candidates that are unlikely to fail, by a Gaussian process that predicts failures."""
         finished = self._is_finished[: self._n_learned]
         observed = encode_points(self._space, self._points[: self._n_learned])
         process = GaussianProcess(1.0).fit(observed, np.where(finished, -1.0, 1.0))
@@ -139,7 +140,7 @@ class LevelSet(WarmStartOptimizer):
     def _points_below_local_minima(self, filling: FloatArray, n: int) -> FloatArray:
         """Return points for this round that lie downhill from local minima of the scores.
 
-        Their number depends only on the number of proposals.
+        How many are sought depends only on the number of points that were proposed.
         """
         n_proposed = self._n_proposed
         count = min(
@@ -153,9 +154,9 @@ class LevelSet(WarmStartOptimizer):
         return self._deduplicator.filter_snapped(self._all_candidates[below], exclude=filling)
 
     def _points_at_boundary(self, points: FloatArray, scores: FloatArray, filling: FloatArray, n: int) -> FloatArray:
-        """Return at most `n` points for this round whose side of the boundary is most uncertain.
+        """Return at most `n` points for this round for which it is most uncertain whether they are critical.
 
-        None of them is observed or in `filling`.
+        Points that were observed before or are in `filling` are left out.
         """
         candidates = self._deduplicator.filter_snapped(self._candidates, exclude=filling)
         if len(candidates) < n:

@@ -18,13 +18,16 @@ _MAX_RELATIVE_HEIGHT: Final = 3.0
 def suggest_below_local_minima(
     points: FloatArray, scores: FloatArray, criterion: Criterion, max_count: int | None = None
 ) -> FloatArray:
-    """Suggest points (m, e) downhill from local minima above the threshold, the most promising first.
+    """Suggest points downhill from local minima of the scores above the threshold, shape (m, e), most promising first.
 
-    The next critical region may be near such a minimum. But a process of all scores, which may be mostly flat, does not
-    distinguish the minimum from noise, and a boundary search stays at the known boundary. A scenario is a local minimum
-    if it is not critical and has the lowest score among its 2 e nearest scenarios. Its score has to be at most three
-    times as far from the threshold as from the median of these scenarios. The suggested point lies along the slope
-    through these neighbours, at half the distance to the nearest neighbour.
+    A further critical region may be near such a minimum. Without these points, a search for the boundary would stay at
+    the known boundary: a Gaussian process of all scores, which are mostly flat, takes the minimum for noise.
+
+    The neighbours of a scenario are the 2 e scenarios nearest to it, where e is the number of coordinates. A scenario
+    is a local minimum if it is not critical, and its score is lower than those of all neighbours. Its score must be
+    near the threshold: at most three times as far from it as from the median score of the neighbours. The suggested
+    point lies downhill from the minimum, along the slope of a plane through minimum and neighbours, at half the
+    distance to the nearest neighbour.
 
     `points` (n, e) are encoded scenarios that were run. `scores` (n,) are lower for more critical scenarios; NaN for a
     failed scenario counts as the highest score. At most `max_count` points are returned, by default all.
@@ -51,9 +54,9 @@ def suggest_below_local_minima(
 def indices_below_local_minima(
     points: FloatArray, scores: FloatArray, criterion: Criterion, candidates: FloatArray, max_count: int
 ) -> IntArray:
-    """Return the indices of the encoded candidates (k, e) nearest to points downhill from local minima.
+    """Return the index of the nearest candidate for each point that `suggest_below_local_minima` suggests.
 
-    `suggest_below_local_minima` suggests these points, at most `max_count`.
+    `candidates` (k, e) are encoded; there are at most `max_count` suggested points.
     """
     suggestions = suggest_below_local_minima(points, scores, criterion, max_count)
     if not len(suggestions) or not len(candidates):

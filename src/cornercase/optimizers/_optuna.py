@@ -23,17 +23,19 @@ _TRIES = 20
 class Optuna(Optimizer):
     """Optimizer that uses a sampler of Optuna, with one score or several.
 
-    A sampler has a state in addition to points and scores. When a study is continued, a new sampler observes points
-    that it did not propose. So the sampler is first asked for as many points; with the same rounds these are the same
-    points. In a search without rounds, the sampler knows which of its points have no result yet.
+    A sampler has a state that also depends on its own proposals. When a study is continued, a new sampler gets the
+    stored scores of points that it did not propose. So, before each stored round, it is asked for as many points as the
+    round has, and proposes the same points again. In a search without rounds, the sampler knows which of its points
+    have no result yet.
 
     Source: T. Akiba et al., "Optuna: A next-generation hyperparameter optimization framework", KDD (2019).
 
     Parameters
     ----------
     sampler : {"tpe", "nsga2", "cmaes", "gp", "random"}, default "tpe"
-        Tree-structured Parzen estimator with a constant liar for rounds, NSGA-II, CMA-ES (needs the package cmaes),
-        Gaussian process (needs torch), or independent points.
+        Sampler of Optuna: ``"tpe"`` is the tree-structured Parzen estimator with a constant liar for the points of a
+        round, ``"nsga2"`` is NSGA-II, ``"cmaes"`` is CMA-ES (needs the package cmaes), ``"gp"`` is a Gaussian process
+        (needs the package torch), and ``"random"`` draws independent points.
 
     Raises
     ------
@@ -56,8 +58,8 @@ class Optuna(Optimizer):
     def __init__(self, sampler: str = "tpe") -> None:
         if not isinstance(sampler, str):
             raise InputError(
-                f"`sampler` {repr_short(sampler)}: give a name, one of {', '.join(_SAMPLERS)}; the sampler is made with"
-                " the seed of the study."
+                f"`sampler` {repr_short(sampler)}: give the name of a sampler of Optuna, one of {', '.join(_SAMPLERS)};"
+                " cornercase creates the sampler with the seed of the study."
             )
         if sampler not in _SAMPLERS:
             raise InputError(f"The optimizer optuna has no sampler '{sampler}'; {suggest_name(sampler, _SAMPLERS)}")
@@ -130,7 +132,7 @@ class Optuna(Optimizer):
         self._sequence.tell(points, scores)
 
     def _fail_open_trials(self) -> None:
-        """Mark proposed points without a score in their round as failed trials, since no score will follow."""
+        """Mark trials whose points got no score in their round as failed, since their scores will not come later."""
         for trial in self._open_trials.values():
             if trial is not None:
                 self._study.tell(trial, state=self._optuna.trial.TrialState.FAIL)

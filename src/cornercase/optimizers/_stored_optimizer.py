@@ -1,4 +1,4 @@
-"""Placeholder for the optimizer of a study whose class is not available."""
+"""Placeholder for the optimizer of a study if the class of the optimizer is not available."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from cornercase.scenario import ParameterSpace
 
 
 class StoredOptimizer(Optimizer):
-    """Placeholder for an optimizer that is known only by its text in a study.
+    """Placeholder for an optimizer that is known only by the text in a study, such as ``mine:offset=0.25``.
 
-    The placeholder has the same text as the optimizer, and refuses to search.
+    The placeholder has this text as its name, and refuses to search.
     """
 
     def __init__(self, text: str) -> None:
@@ -23,8 +23,9 @@ class StoredOptimizer(Optimizer):
     def prepare(self, space: ParameterSpace, seed: int, *further: Any, **required: Any) -> None:
         """Raise `InputError`, since a search needs the optimizer itself."""
         raise InputError(
-            f"The study was searched with the optimizer '{self.name[:100]}', which is none of cornercase; code that a"
-            " study names is not run, so give the optimizer again as an object, as in explore(MyOptimizer(), …)."
+            f"The study was searched with the optimizer '{self.name[:100]}', which is not among those of cornercase;"
+            " cornercase does not load the code of an optimizer by a name in a study, so give the optimizer again as an"
+            " object, as in explore(MyOptimizer(), …)."
         )
 
     def ask(self, n: int) -> FloatArray:
@@ -37,5 +38,8 @@ class StoredOptimizer(Optimizer):
 
 
 def known_optimizer(text: str) -> str | Optimizer:
-    """Return the text if a registered optimizer has this name, otherwise a placeholder (`StoredOptimizer`)."""
+    """Return the stored text of an optimizer if an optimizer with the name in this text is registered.
+
+    Otherwise return a placeholder (`StoredOptimizer`).
+    """
     return text if text.partition(":")[0] in OPTIMIZERS else StoredOptimizer(text)

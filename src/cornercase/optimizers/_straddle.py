@@ -72,7 +72,7 @@ class StraddleSelection:
 def choose_by_straddle(process: GaussianProcess, candidates: FloatArray, sampled: FloatArray, n: int) -> IntArray:
     """Choose `n` candidates by the straddle heuristic, one after the other.
 
-    The variance is conditioned on the `sampled` points and on the points chosen before.
+    Variances are computed as if the scores of the `sampled` points, and of the points chosen before, were known.
     """
     mean, deviation, rows = process.predict_with_projections(np.concatenate([candidates, sampled]))
     variance, others = deviation**2, np.arange(len(candidates), len(mean))

@@ -23,15 +23,16 @@ _CATCH_UP_RANGE: Final = (15, 24)  # numbers of points between which space-filli
 class WarmStartOptimizer(CandidateOptimizer):
     """Base class of optimizers that use the prediction of another study as an additional coordinate of their model.
 
-    The prediction comes from `SourceStudyModel`. Half of the first ten points are on the boundary that the other study
-    predicts, to learn whether the boundary is there, or how far away. Each of these points has the largest ``1.96 s -
-    |m|`` of 4096 candidates. Here m is the mean of the other study's process. s is the standard deviation of a process
-    with the same kernel that is conditioned only on the points of the new search. This spreads the points along the
-    predicted boundary instead of concentrating them where the prediction is most certain.
+    The prediction comes from `SourceStudyModel`. Half of the first ten points are on the boundary of the
+    critical scenarios that the other study predicts, to learn how far the true boundary is from there. Each of these
+    points has the largest ``1.96 s - |m|`` of 4096 candidates. Here m is the mean that the Gaussian process of the
+    other study predicts, with the threshold at 0. s is the standard deviation of a process with the same kernel that
+    knows only the points of the new search. So the points spread along the predicted boundary, instead of crowding
+    where s of the other study is large.
 
-    If the other study predicts the scores of the first ten points or more, the model is learned from these points. Then
-    additional space-filling points follow between the 15th and the 24th point, as many as the other study has chosen.
-    If the other study does not predict the scores, the model is learned from as many points as without a warm start.
+    As soon as there are ten scores that the other study predicts well, the model is learned. Additional space-filling
+    points follow between the 15th and the 24th point, as many as points were chosen by the other study. If the other
+    study does not predict the scores well, the model is learned from as many points as without a warm start.
     """
 
     supports_warm_start = True
@@ -58,7 +59,7 @@ class WarmStartOptimizer(CandidateOptimizer):
     def _points_on_source_boundary(
         self, source_model: SourceStudyModel, sampled: FloatArray, n: int, n_proposed: int
     ) -> FloatArray:
-        """Return points (k, d) on the boundary that another study predicts, away from the `sampled` points (m, d)."""
+        """Return points (k, d) on the boundary that the other study predicts, away from the `sampled` points (m, d)."""
         candidates = self._draw_candidates(self._seed_of(n_proposed), _N_CANDIDATES, sampled)
         count, process = len(candidates), source_model.process
         points = encode_points(self._space, np.concatenate([candidates, sampled]))
@@ -93,11 +94,11 @@ class WarmStartOptimizer(CandidateOptimizer):
     def _model_coordinates(self, points: FloatArray) -> FloatArray:
         """Return the coordinates of points for the model of the scores, shape (n, e).
 
-        With another study, the prediction of this study is the last coordinate.
+        After a warm start, the last coordinate is the prediction of the other study.
         """
         return append_source_prediction(self._source_model, encode_points(self._space, points))
 
 
 def _count_chosen_by_source(n_points: int) -> int:
-    """Return the number of points that the other study chooses among the first `n_points`."""
+    """Return how many of the first `n_points` points are chosen on the boundary that the other study predicts."""
     return math.floor(_SOURCE_FRACTION * min(n_points, _N_CHECKED))

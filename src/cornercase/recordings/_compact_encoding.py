@@ -1,4 +1,4 @@
-"""Recordings encoded in few bytes for a page, rounded to what it can show; `web/recordings.js` reads them."""
+"""Recordings encoded in few bytes for an HTML page, rounded to what drawings can show; `web/recordings.js` decodes."""
 
 from __future__ import annotations
 
@@ -22,19 +22,20 @@ _COMPRESSION_LEVEL: Final = 4
 
 
 def encode_rounded(recording: Recording, courses: Mapping[str, FloatArray]) -> bytes:
-    """Encode a recording and its metric courses, rounded, in zlib's format.
+    """Encode a recording and its courses (time series of metrics), rounded and compressed by zlib.
 
-    A row is the time series of a metric, or of one value of one entity. The unpacked bytes are, in this order:
+    A row is the time series of a metric, of one value of one entity, or of the time itself. The unpacked bytes are, in
+    this order:
 
-    - the length of the head (uint32), and the head (JSON),
+    - the length in bytes of the head (uint32), and the head, a JSON object with names and sizes,
     - if ``gaps`` in the head is true, one byte per row and instant: 1 if there is a value,
     - the first value of each row,
     - the first difference of each row, unless there is only one instant,
     - the second differences, row by row.
 
-    ``fields`` in the head lists for each array its name, its number of rows, its step, and the bytes of a second
-    difference. Numbers are little-endian integers in units of the step. First values and first differences have 4
-    bytes.
+    ``fields`` in the head lists for each array its name, its number of rows, its resolution, and the number of bytes of
+    a second difference. Numbers are little-endian integers in units of the resolution. First values and first
+    differences have 4 bytes.
     """
     # Coordinates may be those of a national grid, millions of metres from its origin.
     origin = {name: _first_finite_rounded(getattr(recording, name)) for name in ("x", "y")}

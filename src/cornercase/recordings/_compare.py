@@ -24,7 +24,8 @@ def are_bitwise_equal(first: Recording, second: Recording) -> bool:
 def max_position_difference(first: Recording, second: Recording) -> float | None:
     """Return the largest distance in m between the positions of an entity at the same instant in two recordings.
 
-    Only instants that are in both recordings are compared. None if the recordings cannot be compared.
+    If one recording ends earlier, only its instants are compared. None if the names of the entities or these instants
+    differ, or if no entity exists in both recordings at the same instant.
     """
     count = min(len(first.time), len(second.time))
     if first.names != second.names or not np.array_equal(first.time[:count], second.time[:count]):

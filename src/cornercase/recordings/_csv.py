@@ -44,7 +44,9 @@ def read_recording_csv(path: Path) -> Recording:
     _, first_rows = np.unique(entity, return_index=True)
     box = numbers[first_rows, 1 + len(MOTION_ARRAYS) :].T
     if not (np.isfinite(box).all() and (box[:2] >= 0).all()):
-        raise InputError(f"{path}: length and width must be finite and not negative for every entity.")
+        raise InputError(
+            f"{path}: length, width and center_x must be finite for every entity, and length and width not negative."
+        )
     for name, values in zip(names, box.T.tolist(), strict=True):
         require_valid_box(path, name, *values)
     x, y, heading, speed, acceleration = motion

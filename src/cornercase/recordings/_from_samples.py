@@ -25,10 +25,10 @@ _MAX_TIME: Final = 1e12
 
 @dataclass
 class EntitySamples:
-    """Samples of the motion of one entity, by time in s; object type and box size in m are as in `Recording`.
+    """Samples of the motion of one entity, with its object type and the size of its box in m as in `Recording`.
 
-    A sample is x and y of the box center in m, the heading in rad, speed in m/s and acceleration in m/s². An unknown
-    speed or acceleration is NaN.
+    `samples` has for each time in s: x and y of the box center in m, heading in rad, speed in m/s and acceleration in
+    m/s². An unknown speed or acceleration is NaN.
     """
 
     object_type: str
@@ -39,9 +39,9 @@ class EntitySamples:
 
 @dataclass(frozen=True)
 class EntityBox:
-    """Object type and box size of an entity, for motion files that contain neither; as in `Recording`.
+    """Object type and box size in m of an entity, as in `Recording`, for files that contain only the motion.
 
-    `ahead` is the distance in m from the position in the file forward to the center of the box; None if unknown.
+    `ahead` is how far in m the center of the box is ahead of the position that the file contains; None if unknown.
     """
 
     object_type: str

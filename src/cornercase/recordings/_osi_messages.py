@@ -51,7 +51,7 @@ class OsiState:
 
 
 def require_osi(what: str) -> None:
-    """Raise `InputError` if the extra ``osi`` is not installed; `what` says in the message what needs it."""
+    """Raise `InputError` if the extra ``osi`` is not installed; `what` is the subject of its message."""
     try:
         import osi3  # noqa: F401
     except ImportError as error:
@@ -61,7 +61,7 @@ def require_osi(what: str) -> None:
 def fill_ground_truth(
     truth: Any, time: float, entities: Sequence[OsiEntity], states: Sequence[OsiState], host: int | None = None
 ) -> None:
-    """Fill an empty GroundTruth message with the entities that exist; their indices become the ids of the objects.
+    """Fill an empty GroundTruth message with the entities that exist; the id of an object is the index of its entity.
 
     `host` is the index of the host vehicle.
     """

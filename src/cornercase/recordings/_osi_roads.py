@@ -56,8 +56,8 @@ def _add_lane(
 ) -> None:
     """Add a lane with its center line in the direction of traffic.
 
-    `s` are the positions along the road in m. `left_boundary` is the id of the lane boundary to the left, seen along s;
-    the boundary to the right has the next id.
+    `s` are the positions along the road in m. `left_boundary` is the id of the lane boundary on the left when looking
+    in the direction of rising s; the boundary on the right has the next id.
     """
     number, section, lane = key
     road = network.roads[number]
@@ -116,7 +116,10 @@ def _sample_section(road: Road, section: int) -> FloatArray:
 
 
 def _drop_needless_samples(road: Road, s: FloatArray, t: FloatArray) -> tuple[list[float], list[float]]:
-    """Return x and y in m of those samples (s, t) of a line along a road that the shape of the line needs."""
+    """Leave out samples of a line along a road where the line hardly turns; return x and y in m of the others.
+
+    Samples are given as positions `s` along the road and offsets `t` to the left of its reference line, both in m.
+    """
     x, y, _ = road.pose_at(s, t)
     turns = np.abs(np.diff(np.unwrap(np.arctan2(np.diff(y), np.diff(x)))))
     turned = np.concatenate([[0.0], np.cumsum(turns), [np.sum(turns)]])

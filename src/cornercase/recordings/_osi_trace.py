@@ -15,8 +15,9 @@ from cornercase.recordings._recording import Recording
 def write_osi(path: Path | str, recording: Recording, ego: str | None = None) -> None:
     """Write a recording as a single-channel trace of ASAM OSI.
 
-    Each instant is one message of type GroundTruth, after its length as four bytes. The field ``source_reference`` of
-    an object names the entity of the scenario. Usual heights are written, since a recording has no heights.
+    Each instant becomes one message of type GroundTruth. Four bytes with the length of the message precede it. The
+    field ``source_reference`` of an object names the entity of the scenario. Recordings contain no heights, so a usual
+    height of each object type is written.
 
     Parameters
     ----------

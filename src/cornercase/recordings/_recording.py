@@ -84,10 +84,10 @@ class Recording:
     collisions : tuple of Collision
         In order of time.
     is_truncated : bool or None
-        Whether the run ended at the maximum duration, before its storyboard had ended. Not stored in files: None for
-        recordings that were read from a file, and if the simulator does not report it.
+        Whether the run ended at the maximum duration, before its storyboard had ended. None if the simulator does not
+        report this, and for recordings that were read from a file, since files do not contain it.
     road_file : Path or None
-        OpenDRIVE file of the scenario. Not stored in files, and None for recordings that were read from a file.
+        OpenDRIVE file of the scenario. None for recordings that were read from a file, since files do not contain it.
 
     Examples
     --------
@@ -255,7 +255,7 @@ class Recording:
         return pandas.DataFrame(columns)
 
     def _first_contacts(self) -> dict[tuple[int, str], list[str]]:
-        """Return, by index of an instant and name of an entity, the entities that this entity begins to touch then."""
+        """Return which entities each entity begins to touch at an instant, by index of the instant and entity name."""
         touched: dict[tuple[int, str], list[str]] = {}
         for collision in self.collisions:
             first, second = collision.entities

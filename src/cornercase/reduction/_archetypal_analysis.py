@@ -50,8 +50,9 @@ def find_archetypes(points: FloatArray, k: int | None = None, *, max_k: int = MA
     """Find `k` archetypes such that every point is approximately a mixture of them; return the points nearest to them.
 
     By default `k` is at the bend of the curve of the explained variance: the first number, up to `max_k`, after which
-    another archetype adds less than 0.02. A. Cutler, L. Breiman, "Archetypal analysis", 1994; projected gradients and
-    the FurthestSum start of M. Mørup, L. K. Hansen, "Archetypal analysis for machine learning and data mining", 2012.
+    another archetype adds less than 0.02. The method is from A. Cutler, L. Breiman, "Archetypal analysis", 1994. The
+    algorithm (projected gradients, first archetypes by FurthestSum) is from M. Mørup, L. K. Hansen, "Archetypal
+    analysis for machine learning and data mining", 2012.
     """
     points = np.asarray(points, dtype=np.float64)
     if points.ndim != 2 or not len(points):
@@ -78,11 +79,12 @@ def find_archetypes(points: FloatArray, k: int | None = None, *, max_k: int = MA
 
 
 def find_kernel_archetypes(cluster_distances: FloatArray, k: int) -> Archetypes:
-    """Find `k` archetypes of a cluster in the space of a Gaussian kernel of the cluster's distances, shape (n, n).
+    """Find `k` archetypes of a cluster in kernel space, from the distances between its n scenarios, shape (n, n).
 
-    The kernel falls so fast that scenarios far from each other along a bent cluster are unrelated, so archetypes spread
-    all along the cluster. The inner products of coordinates in this space are the centred kernel. Of more than 2,000
-    scenarios only 2,000 are used, evenly spaced by the sum of their distances to the others.
+    Similarities are a Gaussian kernel of the distances, and the inner products of coordinates in kernel space are the
+    centred kernel. The kernel is so narrow that scenarios far from each other along a bent cluster count as unrelated.
+    So archetypes spread all along the cluster. Of more than 2,000 scenarios only 2,000 are used, evenly spaced by the
+    sum of their distances to the others.
     """
     if len(cluster_distances) > _MAX_IN_KERNEL:
         order = np.argsort(cluster_distances.sum(axis=1), kind="stable")
@@ -104,7 +106,7 @@ def find_kernel_archetypes(cluster_distances: FloatArray, k: int) -> Archetypes:
 
 
 def pick_evenly_spaced(members: IntArray) -> IntArray:
-    """Return at most 400 of the members, evenly spaced in their order; with more, archetypal analysis would be slow."""
+    """Return at most 400 of the members, evenly spaced in their order, since archetypal analysis of more is slow."""
     count = min(_MAX_EVENLY_SPACED, len(members))
     return members[np.linspace(0, len(members) - 1, count).astype(np.int64)]
 
@@ -112,9 +114,10 @@ def pick_evenly_spaced(members: IntArray) -> IntArray:
 def _fit_archetypal_analysis(points: FloatArray, k: int) -> tuple[FloatArray, float]:
     """Fit `k` archetypes, shape (k, d); also return the residual sum of squares.
 
-    The points are approximated by ``shares @ archetypes``, with ``archetypes = mixing @ points``. Rows of `shares` and
-    `mixing` are nonnegative and sum to 1. Both are improved in turn by projected gradients, with steps that grow and
-    shrink.
+    Archetypes are mixtures of points, ``mixing @ points``. Points are approximated by mixtures of archetypes,
+    ``shares @ archetypes``. Each row of the matrices ``shares`` and ``mixing`` is nonnegative and sums to 1. The two
+    matrices are improved in turn by projected gradients. The step length doubles after an improvement, and is halved
+    otherwise.
     """
     if k == 1:
         center = points.mean(axis=0, keepdims=True)

@@ -17,10 +17,12 @@ MIN_BETTER_SHARE: Final = 0.95
 
 
 class Baselines:
-    """Baselines for a selection: random selections in each clustering, and k-medoids of the first clustering.
+    """Baselines for a selection of scenarios: random selections, and the k-medoids of the first clustering.
 
-    k-medoids are compared by the distances of scenarios in critical clusters of the first clustering. `labels` and
-    `critical_clusters` belong to the first clustering. `size` is the number of selected scenarios.
+    Selections are compared by the largest and the mean distance of scenarios to the nearest selected scenario: with
+    random selections in each clustering, with k-medoids only for scenarios in critical clusters of the first
+    clustering. `labels` and `critical_clusters` belong to the first clustering. `size` is the number of selected
+    scenarios.
     """
 
     def __init__(
@@ -44,9 +46,9 @@ class Baselines:
     def measure_shortfall(self, selected: list[int]) -> float:
         """Return how far a selection falls short of the baselines; 0 if the selection beats them.
 
-        Two shortfalls are added. The first is the amount by which the share of random selections that the selection
-        beats is below 95 %. The second is the relative excess of the selection's distances over the distances of
-        k-medoids.
+        The selection should beat 95 % of the random selections, in each clustering and by both distances; what is
+        missing from 95 % is added. Its distances should also be no larger than those of k-medoids; the relative excess
+        is added.
         """
         total = 0.0
         for matrix, random in zip(self._distances, self._random_distances, strict=True):

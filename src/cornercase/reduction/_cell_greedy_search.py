@@ -1,4 +1,4 @@
-"""Coverage sums for embedded scenarios, computed by cells (groups) of nearby scenarios."""
+"""Greedy search for scenarios that lower the coverage sum most, computed by cells (groups) of nearby scenarios."""
 
 from __future__ import annotations
 
@@ -13,11 +13,12 @@ from cornercase.reduction._coverage_kernels import MAX_KNOWN_TERMS, CoverageCell
 
 
 class CellGreedySearch:
-    """Coverage sum: weighted sum of powers of the distances to the nearest selected scenario, over all clusterings.
+    """Greedy search for the next scenario to select: the one that lowers the coverage sum most.
 
-    `embeddings`, shape (n, p) each, are coordinates by clustering; distances are squared Euclidean. `usual_distances`
-    are the units of the distances; `power` is 2 or 3. At least one scenario is selected. `gains`, shape (n,), has the
-    amount by which each scenario would lower the sum, when it was last computed; the true gain can only be less.
+    The coverage sum is the weighted sum, over all scenarios and clusterings, of ``(distance / usual_distance)**power``.
+    The distance is the squared Euclidean distance to the nearest selected scenario in the coordinates of a clustering,
+    one of the `embeddings`, shape (n, p) each. `power` is 2 or 3. At least one scenario must be selected. `gains`,
+    shape (n,), is by how much each scenario would lower the sum; a gain that was computed earlier may be too high.
     """
 
     def __init__(

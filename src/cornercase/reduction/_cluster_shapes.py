@@ -96,7 +96,7 @@ def classify_cluster_shapes(
     0.8) gets ``"kernel"``. A cluster that is convex in both spaces gets ``"hull"``, or ``"pcha"`` with more than six
     parameters. A cluster that is not convex in the parameter space gets ``"parts"``, or ``"kernel"`` if six parts are
     not enough. `points`, shape (n, d), are in the parameter space. `embedding`, shape (n, e), has coordinates in the
-    kernel space of the clustering; without it, clusters count as convex there.
+    kernel space of the clustering. Without `embedding`, clusters count as convex in kernel space.
     """
     require_archetype_method(method)
     shaped = []

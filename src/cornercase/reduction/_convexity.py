@@ -23,11 +23,14 @@ _MAX_PARTS: Final = 6
 def measure_convexity(points: FloatArray, is_member: BoolArray) -> float:
     """Measure how much of the space between the members of a cluster belongs to the cluster, 0 to 1.
 
-    Three evenly spaced points are sampled on the line between any two members. A point belongs to the cluster if two
-    conditions hold. The scenario nearest to the point is a member. The distance to this member is at most the 95 %
-    quantile of the distances from each member to its neighbour of rank 2 d in the cluster, with d dimensions. The
-    result is about 1 for a ball and a cube, and 0.6 for a thin horseshoe. It is 1 for up to d + 1 members, which are
-    too few to judge.
+    Three evenly spaced points are sampled on the line between each two members; of very many pairs, 20,000 are used.
+    The result is the share of these points that belong to the cluster. It is about 1 for a ball and a cube, and 0.6 for
+    a thin horseshoe.
+
+    A sampled point belongs to the cluster if the scenario nearest to it is a member, and is not too far away. The limit
+    is the usual distance between neighbours in the cluster: the 95 % quantile of the distances from each member to its
+    2 d-th nearest member, where d is the number of dimensions. Up to d + 1 members are too few to judge: the result is
+    1.
     """
     cluster_points = points[is_member]
     count, dimensions = cluster_points.shape

@@ -1,6 +1,6 @@
 """Analysis of who could still have avoided a collision.
 
-When the collision became foreseeable, and until when braking would have avoided it.
+It finds when the collision became foreseeable, and until when braking would have avoided the collision.
 """
 
 from __future__ import annotations
@@ -35,11 +35,12 @@ _MAX_GAP: Final = 0.3
 
 @dataclass(frozen=True)
 class AvoidanceChance:
-    """Chance that a party had to avoid a collision.
+    """Chance that a party (one of the two entities of a collision) had to avoid the collision.
 
-    `foreseeable` is the time in s before the contact since when the party could see the collision coming. `could_avoid`
-    says whether a careful and competent driver, who reacts to what is foreseeable, would have avoided the collision.
-    `is_whole` says whether the recording begins before the collision became foreseeable.
+    `foreseeable` is for how long in s before the contact the party could see the collision coming. `could_avoid` says
+    whether a careful and competent driver would have avoided the collision by braking when it became foreseeable.
+    `is_whole` is False if the collision may have been foreseeable even earlier: it was already foreseeable at the
+    beginning of the recording, or 8 s before the contact, where the search ends.
     """
 
     foreseeable: float
@@ -48,16 +49,17 @@ class AvoidanceChance:
 
 
 def find_chance(party: Party, partner: Party, contact: float, obstacles: Iterable[Party]) -> AvoidanceChance:
-    """Find the chance of a party to avoid the collision with its partner by braking on its path.
+    """Find the chance that a party had to avoid the collision with its partner by braking on its path.
 
-    The collision is foreseeable as soon as the partner can be seen and both would collide within 5 s, without
-    interruption until the contact. In this prediction the party stays on its path at its speed, and the partner goes
-    straight on. `obstacles` may hide the partner.
+    The partner is the other entity of the collision. At an instant, the collision is foreseeable if the party can see
+    the partner and a prediction shows a collision within 5 s. The prediction is that the party stays on its path at its
+    speed, and that the partner goes straight on. The collision counts as foreseeable from the first such instant after
+    which this holds until the contact; interruptions of up to 0.3 s are ignored. `obstacles` may hide the partner.
 
-    The driver is the careful and competent driver of UN Regulation No. 157 (Annex 4, Appendix 3): recognises the danger
-    within 0.4 s, begins to brake 0.75 s later, and reaches a deceleration of 0.774 g after another 0.6 s. Meanwhile the
-    partner moves as recorded, and straight on after the contact. A party that stands before both touch has avoided the
-    collision.
+    The driver is the careful and competent driver of UN Regulation No. 157 (Annex 4, Appendix 3). This driver
+    recognises the danger within 0.4 s, begins to brake 0.75 s later, and reaches a deceleration of 0.774 g after
+    another 0.6 s. Meanwhile the partner moves as recorded, and straight on after the recorded contact. The party avoids
+    the collision if it stands before the boxes of both touch.
     """
     foreseeable, is_whole = find_foreseeable_time(party, partner, contact, obstacles)
     could_avoid = foreseeable > 0.0 and can_brake(party, partner, contact - foreseeable)
@@ -67,10 +69,10 @@ def find_chance(party: Party, partner: Party, contact: float, obstacles: Iterabl
 def find_foreseeable_time(
     party: Party, partner: Party, contact: float, obstacles: Iterable[Party]
 ) -> tuple[float, bool]:
-    """Return for how long in s before a contact it was foreseeable, 0 if never, and whether this time is complete.
+    """Return for how long in s a collision was foreseeable before the contact, and whether this time is complete.
 
-    It is complete if the recording, or the 8 s that are considered, begins earlier. When a collision is foreseeable is
-    defined in `find_chance`.
+    The time is 0 if the collision never was foreseeable, as defined in `find_chance`. It is incomplete if the collision
+    was already foreseeable at the beginning of the recording, or 8 s before the contact, where the search ends.
     """
     instants, is_danger = find_foreseeable_dangers(party, partner, contact, obstacles)
     if not len(instants):
@@ -88,9 +90,10 @@ def find_foreseeable_time(
 def find_foreseeable_dangers(
     party: Party, partner: Party, end: float, obstacles: Iterable[Party]
 ) -> tuple[FloatArray, BoolArray]:
-    """Find whether a party could see a collision with its partner coming, in the last 8 s before `end` in s.
+    """Find at which instants of the 8 s before the time `end` a party could see a collision with its partner coming.
 
-    Return n instants in s, the latest first, and whether the collision was foreseeable at each; shape (n,) both.
+    Return the n instants, the latest first, and whether the collision was foreseeable at each; both have shape (n,).
+    Times are in s.
     """
     instants = _instants_before(party, partner, end)
     if not len(instants):
@@ -116,9 +119,10 @@ def can_stop(party: Party, partner: Party, start: float) -> bool:
 
 
 def find_latest_braking(party: Party, partner: Party, contact: float) -> float | None:
-    """Return until how long in s before the contact full braking without delay avoids it; None if it never does.
+    """Return how long in s before the contact full braking must begin at the latest to avoid the collision.
 
-    Earlier braking is assumed to be no worse.
+    None if full braking avoids the collision at no time. If full braking at some time avoids the collision, earlier
+    braking is assumed to avoid it, too.
     """
     instants = _instants_before(party, partner, contact)
     if not len(instants):
@@ -136,18 +140,18 @@ def find_latest_braking(party: Party, partner: Party, contact: float) -> float |
 
 
 def _instants_before(party: Party, partner: Party, contact: float) -> FloatArray:
-    """Return instants in s before the contact, the latest first.
+    """Return the instants in s, in steps of 0.1 s, of the 8 s before the contact, the latest first.
 
-    They are the instants in steps of 0.1 s in the last 8 s, as far as both parties are recorded.
+    Instants before the recorded motion of either party begins are left out.
     """
     begin = max(float(party.time[0]), float(partner.time[0]), contact - _LOOK_BACK)
     return contact - _STEP * np.arange(1, max(int((contact - begin) / _STEP + 1e-6), 0) + 1)
 
 
 def _predicts_collision(party: Party, partner: Party, instants: FloatArray) -> BoolArray:
-    """Return whether both would collide within 5 s, predicted at each of n instants, shape (n,).
+    """Return for each of n instants whether party and partner are predicted to collide within 5 s, shape (n,).
 
-    The party goes on along its path, the partner straight on.
+    The prediction is that the party goes on along its path, and the partner straight on, both at constant speed.
     """
     ahead = np.arange(_STEP, _HORIZON + _STEP / 2.0, _STEP)
     speeds = np.abs(np.interp(instants, party.time, party.speed))
@@ -185,7 +189,10 @@ def _can_see(party: Party, partner: Party, instants: FloatArray, obstacles: Iter
 
 
 def _avoids(party: Party, partner: Party, start: float, delay: float) -> bool:
-    """Return whether the party stands before both touch, if it brakes fully from `delay` s after `start` in s."""
+    """Return whether the party stands before it touches the partner, if it brakes fully from `start` + `delay` on.
+
+    `start` is a time in s, `delay` a duration in s.
+    """
     elapsed, speeds = full_braking_speeds(abs(party.speed_at(start)), delay)
     driven = np.append(0.0, np.cumsum(0.5 * (speeds[1:] + speeds[:-1]) * _BRAKING_STEP))
     poses = party.poses_along(float(np.interp(start, party.time, party.distance)) + driven)

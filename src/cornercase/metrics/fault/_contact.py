@@ -97,9 +97,10 @@ def _overlap_center(box: FloatArray, other: FloatArray) -> FloatArray:
 
 
 def _side_hit(party: Party, time: float, point: FloatArray, approach: FloatArray) -> Side:
-    """Return the side of a box that is nearest to a point; near a corner, the side that the other moves against.
+    """Return the side of the party's box that is nearest to the point of contact.
 
-    `approach` is the velocity of the other entity relative to the party in m/s.
+    Near a corner, two sides are near: return the one towards which the other entity moves faster. `approach` is the
+    velocity of the other entity relative to the party in m/s.
     """
     x, y, heading = (float(np.interp(time, party.time, values)) for values in (party.x, party.y, party.heading))
     cos, sin = np.cos(heading), np.sin(heading)

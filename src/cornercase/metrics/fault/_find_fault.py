@@ -1,4 +1,4 @@
-"""Search for whose fault a collision is: rules by kind of conflict, each from a published definition."""
+"""Rules that find whose fault a collision is: one rule per kind of conflict, each from a published definition."""
 
 from __future__ import annotations
 
@@ -69,18 +69,21 @@ def find_fault(recording: Recording, ego: str, collision: Collision) -> Fault:
        collision of at most Δv / (2 · 6 m/s²) + 0.35 s (UN Regulation No. 157, 5.2.5.2).
     4. *Lane change*: of two that move in the same direction and touch at a side, the party that left its line (Article
        14). The line follows the road if both are on one road, otherwise it is straight.
-    5. *Right of way*: the party that has to yield at a junction by the road file: by its priorities, else by its signs,
-       else the party that does not come from the right (Article 18). The reason says whether the other could still have
-       braked.
+    5. *Right of way*: the party that has to yield at a junction according to the road file. Its priorities decide
+       first, then its signs. Without both, the party has to yield that sees the other come from the right (Article 18).
+       The reason says whether the other could still have braked.
     6. *Turning*: of two that came towards each other, the party that turns across the path of the other (Article 16).
-    7. *Oncoming*: the party on the wrong side by the road file, else the party that left its line (Article 10 to 12).
-    8. *Crossing*, *pedestrian*: the party that came into the other's path second, if a careful and competent driver
-       would have avoided the first party (UN Regulation No. 157, Annex 4, Appendix 3; see `find_chance`). Otherwise the
-       first party, since it came too late for that. But the first party is at fault only if this driver in its place
-       would have avoided the second party, or if it has just started from standing or is on foot (Article 14 and 20).
+    7. *Oncoming*: the party on the wrong side of the road according to the road file, else the party that left its line
+       (Article 10 to 12).
+    8. *Crossing*, *pedestrian*: one party came into the path of the other first. The second party is at fault if a
+       careful and competent driver in its place would have avoided the first party (UN Regulation No. 157, Annex 4,
+       Appendix 3; see `find_chance`). Otherwise the second party had too little time, and the first party is at fault
+       if it could have acted: if that driver in its place would have avoided the second party, or if it has just
+       started from standing or is on foot (Article 14 and 20).
 
-    The fault is undecided if no rule says who: for example, both come at the same time, neither left its line, or
-    motion or contact are unknown. The result is the same if both change roles, and if the scene is turned or mirrored.
+    The fault is undecided if no rule says who is at fault. For example, both come at the same time, neither left its
+    line, or the motion or the contact is unknown. The result stays the same if ego and other are swapped, or if the
+    scene is turned or mirrored.
     """
     (other,) = (name for name in collision.entities if name != ego)
     contact = find_contact(recording, (ego, other), collision.time)
@@ -100,7 +103,7 @@ def find_fault(recording: Recording, ego: str, collision: Collision) -> Fault:
 
 
 class _CollisionCase:
-    """A collision of two parties, 0 and 1, with quantities that several rules need, and the rules."""
+    """A collision of two parties, 0 and 1, and the rules that find who is at fault."""
 
     def __init__(
         self, first: Party, second: Party, contact: Contact, obstacles: Sequence[Party], roads: RoadNetwork | None
@@ -124,7 +127,10 @@ class _CollisionCase:
 
     @cached_property
     def _yielding_party(self) -> int | None:
-        """The party (0 or 1) that has to yield by the road file; None if it does not say, or a party is on foot."""
+        """The party (0 or 1) that has to yield according to the road file.
+
+        None if the road file does not say who has to yield, or if a party is on foot.
+        """
         if self._roads is None or any(party.is_pedestrian for party in self.parties):
             return None
         return find_who_yields(self._roads, self.parties, self.contact.time)
@@ -181,7 +187,7 @@ class _CollisionCase:
         )  # fmt: skip
 
     def _time_standing(self, k: int) -> float | None:
-        """Return for how long in s a party has stood at the contact; None if it has stood all the time."""
+        """Return for how long in s before the contact a party has stood; None if it stood all the time."""
         party = self.parties[k]
         moving = np.flatnonzero(np.abs(party.speed) >= STANDING_SPEED)
         return self.contact.time - float(party.time[moving[-1]]) if len(moving) else None
@@ -207,9 +213,9 @@ class _CollisionCase:
         return None
 
     def _cut_in_ttc_and_limit(self, behind: int, ahead: int) -> tuple[float, float] | None:
-        """Return the time to collision in s when the party ahead cut in, and the least one that is allowed.
+        """Return the time to collision in s when the party ahead cut in, and the limit in s that it had to exceed.
 
-        None if the party ahead did not cut in, or if the gap did not shrink then.
+        None if the party ahead did not cut in, or if the gap was not shrinking when it cut in.
         """
         approach = self.approach
         if approach.always_in_corridor[ahead] or abs(approach.shifts[ahead]) < _LEFT_LINE:
@@ -240,9 +246,10 @@ class _CollisionCase:
         return _Ruling((), "lane change", "neither moves sideways")
 
     def _rule_right_of_way(self) -> _Ruling | None:
-        """Decide that the party is at fault that has to yield, as it reverses or by the road file.
+        """Decide that the party that has to yield is at fault.
 
-        None if neither says who has to yield.
+        A party that reverses has to yield if the other does not reverse. Otherwise the road file decides; None if the
+        road file does not say who has to yield.
         """
         reversing = [speed <= -STANDING_SPEED for speed in self.speeds]
         if reversing.count(True) == 1:
@@ -301,7 +308,10 @@ class _CollisionCase:
         return _Ruling((), conflict, f"{lateness}, and could not have avoided it either")
 
     def _has_just_moved_off(self, k: int) -> bool:
-        """Return whether a party stood within the last 5 s, out of the path of the other, and could have waited."""
+        """Return whether a party has just started, and could have waited instead.
+
+        This is so if it stood in the last 5 s before the contact, outside the path of the other party.
+        """
         party = self.parties[k]
         standing = party.time[np.abs(party.speed) < STANDING_SPEED]
         since = self.contact.time - float(standing[-1]) if len(standing) else np.inf

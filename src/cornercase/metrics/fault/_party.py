@@ -1,4 +1,4 @@
-"""Party to a collision: its recorded motion until the contact, and how it would go on."""
+"""Party to a collision: an entity with its recorded motion until the contact, and how it would go on."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ STANDING_SPEED: Final = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Party:
-    """Motion of an entity at T instants until a contact; afterwards it keeps its speed and direction.
+    """Motion of an entity at T instants until a contact; after the contact, speed and direction stay the same.
 
     `time` in s; `x` and `y` of the box's centre in m; `heading` in rad, without jumps by 2π; `speed` in m/s, negative
     when reversing; shape (T,) each. `size` is length and width in m.
@@ -42,9 +42,10 @@ class Party:
 
     @classmethod
     def from_recording(cls, recording: Recording, name: str, end: float, look_back: float = _LOOK_BACK) -> Party:
-        """Create a party from the recorded motion in the last `look_back` s until `end` in s.
+        """Create a party from its recorded motion in the time before `end`, of the length `look_back`; both in s.
 
-        The party has no instants if its motion is unknown.
+        If the entity was absent in between, only its motion since then is used. The party has no instants if its
+        motion is unknown.
         """
         i = recording.entity_index(name)
         center = recording.box_center(name)
@@ -77,23 +78,23 @@ class Party:
         return np.append(0.0, np.cumsum(np.hypot(np.diff(self.x), np.diff(self.y))))
 
     def speed_at(self, time: float) -> float:
-        """Return the speed at a time in s: in m/s, negative when reversing."""
+        """Return the speed in m/s, negative when reversing; `time` is in s."""
         return float(np.interp(time, self.time, self.speed))
 
     def direction_at(self, time: float) -> float:
-        """Return the direction of motion in rad at a time in s; for a standing party, its heading."""
+        """Return the direction of motion in rad, for a standing party its heading; `time` is in s."""
         heading = float(np.interp(time, self.time, self.heading))
         return heading + np.pi if self.speed_at(time) < -STANDING_SPEED else heading
 
     def velocity_at(self, time: float) -> FloatArray:
-        """Return the velocity at a time in s: in m/s, shape (2,)."""
+        """Return the velocity in m/s, shape (2,); `time` is in s."""
         heading = np.interp(time, self.time, self.heading)
         return self.speed_at(time) * np.array([np.cos(heading), np.sin(heading)])
 
     def poses_at(self, time: FloatArray) -> Poses:
         """Return the poses of the box at n times in s, shape (n,).
 
-        After its last instant, the party goes straight on at constant speed.
+        After its last recorded instant, the party goes straight on at constant speed.
         """
         after = np.maximum(time - self.time[-1], 0.0)
         velocity = self.velocity_at(float(self.time[-1]))
@@ -104,7 +105,7 @@ class Party:
         )
 
     def poses_along(self, distance: FloatArray) -> Poses:
-        """Return the poses of the box at distances along its path in m, an array of any shape.
+        """Return the poses of the box after driven distances in m, an array of any shape, along the path of the party.
 
         Beyond the end of the path, the party goes straight on.
         """
@@ -122,14 +123,14 @@ class Party:
 
 
 def _unwrap_headings(heading: FloatArray) -> FloatArray:
-    """Unwrap headings in rad, unless they have no jump by 2π, which is quick to check."""
+    """Remove jumps by 2π from headings in rad; a quick check first, since most headings have no jumps."""
     return np.unwrap(heading) if len(heading) > 1 and np.abs(heading[1:] - heading[:-1]).max() > np.pi else heading
 
 
 def iter_obstacles(
     recording: Recording, names: tuple[str, str], end: float, look_back: float = _LOOK_BACK
 ) -> Iterator[Party]:
-    """Yield the motion of all entities except two, `names`, as in `Party.from_recording`.
+    """Yield the motion of all entities except the two in `names`; `end` and `look_back` as in `Party.from_recording`.
 
     Entities whose motion is unknown are left out.
     """
@@ -139,9 +140,9 @@ def iter_obstacles(
 
 
 def boxes_touch(first: Party, poses: Poses, second: Party, other_poses: Poses) -> BoolArray:
-    """Return whether the boxes of two entities touch at given poses, which are broadcast against each other.
+    """Return whether the boxes of two entities touch at given poses; the two arrays of poses are broadcast.
 
-    Only boxes that are near are compared, by the separating axis theorem.
+    Only boxes that are close to each other are compared exactly, by the separating axis theorem.
     """
     reach = 0.5 * (math.hypot(*first.size) + math.hypot(*second.size))
     dx, dy = other_poses[0] - poses[0], other_poses[1] - poses[1]

@@ -46,10 +46,11 @@ def roads_of(recording: Recording) -> RoadNetwork | None:
 def find_who_yields(network: RoadNetwork, parties: tuple[Party, Party], contact: float) -> int | None:
     """Return which of two parties (0 or 1) has to yield to the other at a junction.
 
-    The ``<priority>`` elements of the junction decide first; their roads may lead to the junction or through it. Next
-    come signs to yield or to stop before the junction. Otherwise, the party has to yield that sees the other come from
-    the right, or from the left in left-hand traffic (Vienna Convention on Road Traffic 1968, Article 18, 4). Traffic
-    lights do not count, since their state is in no recording. None if the road file does not say who has to yield.
+    The ``<priority>`` elements of the junction decide first; a priority may name roads that lead to the junction or
+    roads through the junction. Next come signs to yield or to stop before the junction. If there are neither priorities
+    nor signs, the party has to yield that sees the other come from the right, or from the left in left-hand traffic
+    (Vienna Convention on Road Traffic 1968, Article 18, 4). Traffic lights have no effect, since recordings do not
+    contain their state. None if the road file does not say who has to yield.
     """
     routes = [_roads_driven(network, party, contact) for party in parties]
     junctions = [{network.roads[k].junction for k in route} - {"", "-1"} for route in routes]
@@ -76,10 +77,10 @@ def find_who_yields(network: RoadNetwork, parties: tuple[Party, Party], contact:
 
 
 def _find_who_yields_to_the_right(network: RoadNetwork, junction: str, roads: tuple[str, str]) -> int | None:
-    """Return which of two parties (0 or 1) has to yield since the other comes from the right.
+    """Return which of two parties (0 or 1) sees the other come from the right, and so has to yield.
 
-    In left-hand traffic, since the other comes from the left. `roads` are the ids of the roads that the parties come
-    from. None if they come from the same road or towards each other.
+    In left-hand traffic, left replaces right. `roads` are the ids of the roads from which the parties enter the
+    junction. None if the directions of these roads differ by less than 30°, or are opposite to within 30°.
     """
     first, second = (_heading_into(network, road, junction) for road in roads)
     turn = float(wrap_angle(second - first))
@@ -102,9 +103,9 @@ def _heading_into(network: RoadNetwork, road_id: str, junction: str) -> float:
 
 
 def is_on_wrong_side(network: RoadNetwork, party: Party, contact: float) -> bool | None:
-    """Return whether an entity drives against the traffic of the lane below its centre.
+    """Return whether an entity drives against the direction of traffic of the lane below its centre.
 
-    None in junctions and off the road.
+    None if the entity is in a junction or off the road.
     """
     x, y = (np.array([np.interp(contact, party.time, values)]) for values in (party.x, party.y))
     position = network.locate(x, y)
@@ -135,17 +136,17 @@ def _roads_driven(network: RoadNetwork, party: Party, contact: float) -> list[in
 
 
 def _leads_forward_into(road: Road, junction: str) -> bool:
-    """Return whether the end of a road, not its start, is at a junction."""
+    """Return whether a road leads into a junction with its end; otherwise it does so with its start."""
     return road.successor is not None and road.successor.target_id == junction
 
 
 def _find_entry_and_junction_road(
     network: RoadNetwork, junction: str, route: list[int], party: Party, contact: float
 ) -> tuple[str, str] | None:
-    """Return the ids of the road from which a party enters a junction, and of its road through the junction.
+    """Return two road ids: of the road from which a party enters a junction, and of the party's road through it.
 
-    The road through the junction is the road that fits best to the pose of the party at the contact. None if the route
-    of the party has no road that leads into the junction.
+    Of the roads through the junction, the one that fits best to the pose of the party at the contact is chosen. None if
+    no road of the party's route leads into the junction.
     """
     driven = {network.roads[k].road_id for k in route}
     connections = [link for link in network.connections.get(junction, ()) if link[0] in driven and link[1]]
@@ -166,7 +167,7 @@ def _find_entry_and_junction_road(
 
 
 def _has_yield_sign(network: RoadNetwork, route: list[int], junction: str) -> bool:
-    """Return whether a sign to yield or stop stands where a route enters a junction, within 30 m of it."""
+    """Return whether a sign to yield or to stop stands in the last 30 m of a route before it enters a junction."""
     for k, after in pairwise(route):
         road = network.roads[k]
         if network.roads[after].junction != junction or road.junction == junction:

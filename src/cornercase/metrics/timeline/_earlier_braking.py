@@ -1,7 +1,8 @@
-"""Effect of other braking on a collision: the ego stays on its path, the other entity moves as recorded.
+"""Whether the ego would have avoided a collision if it had braked differently, such as earlier.
 
-Nothing is simulated. After the contact, the other entity goes straight on at constant speed. A collision counts as
-avoided only if no contact would happen up to 5 s after the recorded contact, not even with an ego that stands.
+Nothing is simulated: the ego stays on its path, and the other entity moves as recorded. After the recorded contact, the
+other entity goes straight on at constant speed. A collision counts as avoided only if the boxes do not touch until 5 s
+after the recorded contact. So the other entity must not run into an ego that stands, either.
 """
 
 from __future__ import annotations
@@ -47,16 +48,17 @@ class EgoReaction:
     """Reaction of the ego to a collision with another entity, and what else would have avoided the collision.
 
     `reply` is ``"none"`` if the ego did not brake, ``"brakes"`` if it braked or stood until the contact, and ``"drives
-    on"`` if it braked and sped up again before. `reaction` is the time in s from the instant at which the collision was
-    foreseeable to braking, negative if the ego braked up to 0.5 s before. It is None if the ego did not brake because
-    of the collision, as far as is known. `seen_too_late` is True if even full braking, without delay after the
-    collision became foreseeable, does not let the ego stand before both touch.
+    on"`` if it braked and sped up again before the contact. `reaction` is the time in s from the instant at which the
+    collision became foreseeable to the begin of braking. It is negative if the ego braked earlier, by up to 0.5 s. It
+    is None if the ego did not brake, or braked too early to react to this collision. `seen_too_late` is True if the ego
+    could not stand before the contact even by full braking at the instant at which the collision became foreseeable.
 
-    `avoided_by` says for each time in `EARLIER` whether the collision is avoided if the same braking begins earlier by
-    this time, but not before the ego could see the other entity, and if the ego then stops and waits. It is None
-    without braking. `avoided` says whether another alternative avoids the collision; None if no alternative applies.
-    Without braking, the alternative is to brake fully 1.15 s after the collision was foreseeable, like the careful
-    driver of UN Regulation No. 157. If the ego drove on, the alternative is to stop and wait.
+    `avoided_by` has one value for each time in `EARLIER`: whether the collision is avoided if the ego begins the same
+    braking earlier by this time, and then stops and waits. But the ego does not brake before it could see the other
+    entity. `avoided_by` is None if the ego did not brake. `avoided` says whether another alternative avoids the
+    collision. If the ego did not brake, the alternative is to brake fully 1.15 s after the collision became
+    foreseeable, like the careful driver of UN Regulation No. 157. If the ego drove on, the alternative is to stop and
+    wait. `avoided` is None if neither applies.
     """
 
     events: EncounterEvents
@@ -121,10 +123,11 @@ class _Encounter:
         return not self._touches(start, start + elapsed, speeds)
 
     def is_avoided_by_braking(self, times: FloatArray, speeds: FloatArray, earlier: float, earliest: float) -> bool:
-        """Return whether the same braking, begun `earlier` s earlier, avoids the contact, if the ego then waits.
+        """Return whether the ego avoids the contact if it brakes as recorded, but earlier, and then stops and waits.
 
-        `times` in s and `speeds` in m/s are the recorded braking. The moved braking begins at `earliest` in s or later.
-        Afterwards, the ego keeps its hardest deceleration until it stands. The ego is never faster than recorded.
+        `times` in s and `speeds` in m/s are the recorded braking. It is moved forward by `earlier` in s, but begins no
+        earlier than the time `earliest` in s. Afterwards, the ego keeps its hardest deceleration until it stands. The
+        ego is never faster than recorded.
         """
         start = min(max(float(times[0]) - earlier, earliest), float(times[0]))
         deceleration = _hardest_deceleration(times, speeds)
@@ -138,9 +141,9 @@ class _Encounter:
         return not self._touches(start, braking_times, np.where(is_recorded, np.minimum(braking, as_recorded), braking))
 
     def _touches(self, start: float, times: FloatArray, speeds: FloatArray) -> bool:
-        """Return whether both touch until 5 s after the contact, if the ego drives with other speeds.
+        """Return whether the boxes touch until 5 s after the recorded contact, if the ego drives with these speeds.
 
-        `times` in s and `speeds` in m/s are the motion of the ego from the time `start` in s on.
+        From the time `start` in s on, the ego has the `speeds` in m/s at the `times` in s.
         """
         moments = np.arange(start, self.contact + _AFTER + _TOLERANCE, _STEP)
         driven_speeds = np.interp(moments, times, speeds)
@@ -150,5 +153,5 @@ class _Encounter:
 
 
 def _hardest_deceleration(times: FloatArray, speeds: FloatArray) -> float:
-    """Return the hardest deceleration in m/s², at least the threshold from which the ego counts as braking."""
+    """Return the hardest deceleration in m/s², but at least the deceleration from which the ego counts as braking."""
     return max(BRAKING, *(-np.diff(speeds) / np.diff(times)).tolist()) if len(times) > 1 else BRAKING

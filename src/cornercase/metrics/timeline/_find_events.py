@@ -1,6 +1,6 @@
 """Search for the times of events between the ego and another entity.
 
-When the ego could see the other entity, could foresee a collision, slowed down, braked, and touched it.
+The events are that the ego could see the other entity, could foresee a collision, slowed down, braked, and collided.
 """
 
 from __future__ import annotations
@@ -55,15 +55,17 @@ _ROUNDING: Final = 1e-6
 class EncounterEvents:
     """Times in s of events between the ego and another entity, `other`; None for events that did not happen.
 
-    `sees` is when the ego could see the other entity, without interruption until they touch or are closest. Sight is
-    computed as for the drivers, without limits of angle or distance. `foresees` is when the ego could see a collision
-    coming, as in `find_chance`. Without a contact, this is the last such danger before they are closest. `contact` is
-    when they touch. `closest` is the instant of the smallest gap between the boxes, and `gap` is this gap in m.
+    `sees` is the begin of the last time span in which the ego could see the other entity, before they touch or are
+    closest. Sight is computed as for the drivers, without limits of angle or distance. `foresees` is when the ego could
+    first see the collision coming, as in `find_chance`. Without a contact, it is the begin of the last time span in
+    which a collision was foreseeable, before they are closest. `contact` is when they touch. `closest` is the instant
+    of the smallest gap between the boxes, and `gap` is this gap in m.
 
-    `brakes` is the begin of the first braking that starts at most 0.5 s before `foresees`, or later. Without it, it is
-    the begin of braking that gets harder or goes on at `foresees`, else of the last braking by which the ego had
-    stopped. `slows` is the begin of the slowing down that leads to this braking. Without a foreseeable collision,
-    `slows` is None, and `brakes` is the begin of the last braking that started in sight of the other entity.
+    `brakes` is the begin of the first braking that starts at most 0.5 s before `foresees`, or later. If there is none,
+    `brakes` is the begin of the first of these that exists: harder braking after `foresees`, braking that goes on at
+    `foresees`, the last braking that ended in standing. `slows` is the begin of the slowing down that leads to this
+    braking. Without a foreseeable collision, `slows` is None, and `brakes` is the begin of the last braking that
+    started in sight of the other entity.
     """
 
     other: str
@@ -123,9 +125,9 @@ def _is_other_visible(recording: Recording, ego_index: int, other_index: int) ->
 
 
 def _find_runs(mask: BoolArray, time: FloatArray) -> list[tuple[int, int]]:
-    """Return the first and last instant of each run in which a mask holds.
+    """Return the indices of the first and last instant of each time span in which a mask is True.
 
-    Gaps up to 0.3 s, plus one usual time step, do not end a run.
+    Instants with False end a time span only if they interrupt it for more than 0.3 s and one usual time step.
     """
     instants = np.flatnonzero(mask)
     if not len(instants):
@@ -144,9 +146,9 @@ def _usual_step(time: FloatArray) -> float:
 
 
 def _find_danger(recording: Recording, ego: str, other: str, anchor: float, touches: bool) -> float | None:
-    """Return the time in s since when a collision was foreseeable; None if it never was.
+    """Return the time in s from which on a collision was foreseeable; None if it never was.
 
-    `anchor` is the time in s at which both touch or are closest.
+    `anchor` is the time in s at which the ego and the other entity touch or are closest.
     """
     end, back = (anchor, _LOOK_BACK) if touches else (anchor + _LOOK_AHEAD, _LOOK_BACK + _LOOK_AHEAD)
     party, partner = (Party.from_recording(recording, name, end, back) for name in (ego, other))
@@ -164,7 +166,7 @@ def _find_danger(recording: Recording, ego: str, other: str, anchor: float, touc
 def _find_braking(
     recording: Recording, ego_index: int, before: BoolArray, sees: float | None, foresees: float | None
 ) -> tuple[float | None, float | None]:
-    """Return the times in s at which the ego begins to slow down, and to brake; None if it does not."""
+    """Return the times in s at which the ego begins to slow down and begins to brake; None for what it does not do."""
     time, speed = recording.time, recording.speed[ego_index]
     deceleration = np.nan_to_num(-recording.acceleration[ego_index] * np.where(speed < 0.0, -1.0, 1.0))
     if sees is None:

@@ -37,7 +37,8 @@ def read_commonroad(path: Path | str) -> Recording:
     """Read the obstacles of a CommonRoad scenario, named by their ids; requires the extra ``commonroad``.
 
     Dynamic obstacles must have a trajectory. Static obstacles stand at all times. A CommonRoad scenario does not
-    contain the motion of the ego, which a planner has to find: add it as an obstacle.
+    contain the motion of the ego, since finding it is the task of a planner. So add the ego as an obstacle with
+    the planned trajectory.
     """
     path = Path(path)
     # Refuse what commonroad-io would accept: document types, huge files, huge numbers.
@@ -99,7 +100,7 @@ def _trajectory_states(path: Path, obstacle: Any) -> list[Any]:
     if not hasattr(obstacle.prediction, "trajectory"):
         raise InputError(
             f"{path}: obstacle {obstacle.obstacle_id} has predicted occupancies instead of a trajectory; "
-            "only recorded states can be measured."
+            "only trajectories are read."
         )
     states: list[Any] = obstacle.prediction.trajectory.state_list
     return states
@@ -113,8 +114,8 @@ def _create_entity_samples(path: Path, obstacle: Any) -> EntitySamples:
     if hasattr(shape, "radius"):
         return EntitySamples(kind, 2.0 * float(shape.radius), 2.0 * float(shape.radius))
     raise InputError(
-        f"{path}: obstacle {obstacle.obstacle_id} is a {type(shape).__name__}; only rectangles and circles "
-        "have a bounding box to measure."
+        f"{path}: obstacle {obstacle.obstacle_id} has the shape {type(shape).__name__}; only rectangles and "
+        "circles are read."
     )
 
 

@@ -59,10 +59,12 @@ def read_erg_columns(path: Path | str) -> dict[str, npt.NDArray[Any]]:
         raise InputError(f"{info}: names a quantity twice.")
     record = np.dtype(fields)
     if not record.itemsize:
-        raise InputError(f"{info}: describes records without content.")
+        raise InputError(f"{info}: all quantities have a size of 0 bytes.")
     size = int.from_bytes(data[10:12], "little" if end == "<" else "big")
     if size != record.itemsize:
-        raise InputError(f"{path}: has records of {size} bytes, and {info.name} describes {record.itemsize}.")
+        raise InputError(
+            f"{path}: has records of {size} bytes, but {info.name} describes records of {record.itemsize} bytes."
+        )
     count, rest = divmod(len(data) - _HEADER_SIZE, record.itemsize)
     if rest:
         raise InputError(f"{path}: is cut in the middle of record {count + 1}; run the TestRun again.")

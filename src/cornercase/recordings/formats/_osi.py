@@ -93,7 +93,10 @@ def _find_entity_name(moving_object: Any) -> str:
 
 
 def _iter_ground_truths(path: Path) -> Iterator[Any]:
-    """Yield the GroundTruth of each message, from the message type that contains moving objects."""
+    """Yield the GroundTruth of each message.
+
+    Messages of type SensorView are read if they contain moving objects, otherwise messages of type GroundTruth.
+    """
     for kind in ("SensorView", "GroundTruth"):
         truths = (m.global_ground_truth if kind == "SensorView" else m for m in _iter_messages(path, kind))
         first = next(truths, None)
@@ -124,7 +127,7 @@ def _iter_single_channel(path: Path, message_type: str) -> Iterator[Any]:
                     raise InputError(f"{path}: has a message of {length} bytes; at most {_MAX_MESSAGE_SIZE} are read.")
                 body = file.read(length)
                 if len(size) < 4 or len(body) < length:
-                    raise EOFError("it ends within a message")
+                    raise EOFError("the last message is incomplete")
                 total += length + 4
                 if total > _MAX_FILE_SIZE:
                     raise InputError(f"{path}: has more than {_MAX_FILE_SIZE} bytes when it is unpacked.")
