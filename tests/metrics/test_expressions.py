@@ -356,7 +356,7 @@ def test_what_is_hostile_is_refused_in_a_sentence_at_once(text, language):
 
 def test_a_letter_that_only_looks_like_one_is_named():
     for text, words in (("ttc > 1 and tt\u0441 > 1", "did you mean 'ttc'"), ("ttc \uff1e 1", "FULLWIDTH GREATER-THAN SIGN"),
-                        ("ttc > \u22121", "write - for"), ("ttc > \u0661", "ARABIC-INDIC DIGIT ONE")):  # fmt: skip
+                        ("ttc > \u22121", "write .-. instead of"), ("ttc > \u0661", "ARABIC-INDIC DIGIT ONE")):  # fmt: skip
         with pytest.raises(InputError, match=words):
             Expression.parse(text)
 
