@@ -28,7 +28,8 @@ _N_REACHES: Final = 120
 class Coverage:
     """Coverage by a reduced set: statistics of the distances from every scenario to the nearest selected scenario.
 
-    All values except `held_out` are in-sample: they describe the scenarios from which the set was selected.
+    All values except `held_out` are in-sample: they describe the scenarios from which the set was selected. The
+    baselines are random selections and k-medoids, each with as many scenarios as the set.
 
     Attributes
     ----------
@@ -41,12 +42,13 @@ class Coverage:
     largest_relative, mean_relative : float
         `largest` and `mean` as shares of the largest distance of any two scenarios; 0 if all are identical.
     random_largest, random_mean : float
-        Medians of the largest and of the mean distance over random selections of the same size.
+        Medians, over the random selections, of the largest and of the mean distance.
     better_largest, better_mean : float
-        Shares of the random selections with a larger maximum, and with a larger mean, than the set.
+        Shares of the random selections whose largest distance, and whose mean distance, is larger than that of the
+        set. NaN if an early version of cornercase reduced the study.
     medoids_largest, medoids_mean : float
-        Largest and mean distance for k-medoids of the same number, which minimise the mean. Like `better_largest` and
-        `better_mean`, they are NaN in a study that an early version reduced.
+        Largest and mean distance if k-medoids are selected, which are chosen for a small mean distance. NaN if an
+        early version of cornercase reduced the study.
     held_out : HeldOutCoverage or None, default None
         Cross-validated distances; None if not measured.
 
@@ -78,8 +80,9 @@ class Coverage:
 class NearestDistances:
     """Distances from every scenario to the nearest selected scenario, for the reduced set and for baselines.
 
-    `to_selected`, shape (n,), is for the reduced set, and `to_medoids`, shape (n,), for k-medoids of the same number.
-    `to_random`, shape (draws, n), is for random selections of the same size.
+    The distances `to_selected`, shape (n,), end at the reduced set. The distances `to_medoids`, shape (n,), and
+    `to_random`, shape (draws, n), end at the baselines: k-medoids, and random selections, one per row. Each baseline
+    has as many scenarios as the reduced set.
     """
 
     to_selected: FloatArray
@@ -89,12 +92,12 @@ class NearestDistances:
 
 @dataclass(frozen=True, eq=False)
 class CoverageCurves:
-    """Curves of the share of scenarios within a distance of the reduced set, compared with baselines, for the report.
+    """Coverage curves for the report: share of scenarios that are near a selected one, as a function of the distance.
 
-    `to_selected` and `to_medoids`, shape (n,), are those of `NearestDistances`. `reach`, shape (m,), are distances from
-    0 on. For each distance in `reach`, random selections have a percentage of scenarios within this distance.
-    `random_low` and `random_high`, shape (m,), are the 5 % and the 95 % quantile of this percentage over the random
-    selections.
+    `to_selected` and `to_medoids`, shape (n,), are the distances from every scenario to the reduced set and to
+    k-medoids. `reach`, shape (m,), has increasing distances from 0 on. For each distance in `reach` and each random
+    selection, a percentage of the scenarios is within this distance of the random selection. `random_low` and
+    `random_high`, shape (m,), are the 5 % and the 95 % quantile of this percentage over the random selections.
     """
 
     to_selected: FloatArray
@@ -115,7 +118,7 @@ class CoverageCurves:
 
 
 def percent_within(distances: FloatArray, reach: FloatArray) -> FloatArray:
-    """Return, for each distance in `reach`, the percentage of `distances` that are not longer."""
+    """Return, for each value in `reach`, the percentage of `distances` that are at most this value."""
     return np.asarray(100.0 * np.searchsorted(np.sort(distances), reach, side="right") / max(len(distances), 1))
 
 
@@ -142,9 +145,10 @@ def measure_distances_to_random(
     draws: int = DEFAULT_DRAWS,
     seed: int = 0,
 ) -> FloatArray:
-    """Measure the distances of m scenarios, by default all, to random selections as large as `selected`, (draws, m).
+    """Measure the distances from m scenarios, by default all, to random selections as large as `selected`.
 
-    The random selections differ from those with which the reduced set was compared during selection.
+    The result has shape (draws, m), with a row for each random selection. `reduce` compared the reduced set with other
+    random selections to choose the set, so these selections are drawn independently.
     """
     size = len(np.unique(np.asarray(selected, dtype=np.int64)))
     random = draw_random_selections(len(distances), size, stream="grading", draws=draws, seed=seed)
@@ -162,8 +166,8 @@ def measure_coverage(
 ) -> Coverage:
     """Measure how well the scenarios with the indices `selected` represent all scenarios.
 
-    `distances` has shape (n, n). `ids`, shape (n,), identify the worst scenario. `nearest_distances` saves computing
-    the distances to the selected scenarios again.
+    `distances` has shape (n, n). If `ids`, shape (n,), are given, the result names the worst scenario by its id. If
+    `nearest_distances` are given, the distances to the selected scenarios are not computed again.
     """
     matrix = distances if isinstance(distances, EmbeddedDistances) else np.asarray(distances, dtype=np.float64)
     if len(matrix.shape) != 2 or matrix.shape[0] != matrix.shape[1]:

@@ -1,7 +1,8 @@
 """Compiled coverage sums for embedded scenarios, computed by cells (groups) of nearby scenarios.
 
-A newly selected scenario becomes the nearest selected scenario for few others, and most cells are too far away to
-contain any of these. So if many scenarios are selected, most distances are never computed.
+A coverage sum adds up a cost for each scenario, which grows with the distance to the nearest selected scenario. A newly
+selected scenario becomes the nearest selected scenario for few others. Most cells are too far away to contain one of
+these few. So if many scenarios are selected, most distances are never computed.
 """
 
 # Compiled functions have no static types.
@@ -24,18 +25,18 @@ MAX_KNOWN_TERMS = 192
 
 
 class CoverageCells(NamedTuple):
-    """Cells of scenarios in all clusterings, with the costs that the selection leaves uncovered.
+    """Cells (groups) of nearby scenarios in all clusterings, with the cost of each scenario.
 
     `coordinates`, (clusterings, n, stages, AXES), are in the order of the scenarios, the axis of largest variance
     first; `members`, (clusterings, c, stages, AXES, CELL), are the same coordinates by cell. `centers`, (clusterings,
     AXES, c), and `radii` are bounding balls of the cells in the first axes. `nearest_squares` are squared distances to
-    the nearest selected scenario, and `costs` follow from them. If the squared distance of a scenario to a cell's
-    centre is above `reach`, it cannot become the nearest selected scenario of any member of the cell.
+    the nearest selected scenario, and `costs` are computed from them. A scenario can become the nearest selected
+    scenario of a cell's member only if its squared distance to the cell's centre is at most `reach`.
 
-    The gain of a scenario is a sum over scenarios that are nearer to it than to the selected scenarios; the number of
-    these terms only falls. Once there are at most `MAX_KNOWN_TERMS` terms, `n_terms`, shape (n,), is their number,
-    otherwise -1. `term_members`, (n, TERMS), are positions in the flattened `costs`, and `term_costs` the costs there
-    if the scenario is selected.
+    The gain of a scenario is the amount by which its selection lowers the total cost. The gain has a term for each
+    scenario that would become cheaper, so terms only disappear as more scenarios are selected. `n_terms`, shape (n,),
+    is the number of terms once it is at most `MAX_KNOWN_TERMS`, before that -1. For each term, `term_members`,
+    (n, TERMS), is an index into the flattened `costs`, and `term_costs` is the cost after the selection.
     """
 
     coordinates: FloatArray
@@ -55,7 +56,7 @@ class CoverageCells(NamedTuple):
 
 @kernel(error_model="numpy")
 def fill_gains(gains, cells):
-    """Write to `gains` the amount by which each scenario would lower the coverage sum."""
+    """Write to `gains` the amount by which selecting each scenario would lower the coverage sum (total cost)."""
     to_centers, to_members = np.empty(cells.members.shape[1]), np.empty(CELL_SIZE)
     for index in range(len(gains)):
         gains[index] = _gain_of(index, cells, to_centers, to_members)
@@ -65,7 +66,8 @@ def fill_gains(gains, cells):
 def find_best_candidate(gains, cells):
     """Return the scenario whose selection lowers the coverage sum most, the first if tied; -1 if all gains are -inf.
 
-    `gains` come from earlier steps, so they are upper bounds; they are updated as needed.
+    `gains` were computed when fewer scenarios were selected. Gains never increase, so the old values are upper bounds,
+    and only the largest are computed again.
     """
     to_centers, to_members = np.empty(cells.members.shape[1]), np.empty(CELL_SIZE)
     last = -1
@@ -84,7 +86,7 @@ def find_best_candidate(gains, cells):
 
 @kernel(error_model="numpy")
 def add_to_selection(index, cells):
-    """Update distances, costs and reaches after scenario `index` was selected."""
+    """Update `nearest_squares`, `costs` and `reach` of the cells after scenario `index` was selected."""
     to_centers, to_members = np.empty(cells.members.shape[1]), np.empty(CELL_SIZE)
     for k in range(len(cells.members)):
         point = cells.coordinates[k, index]

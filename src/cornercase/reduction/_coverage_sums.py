@@ -41,8 +41,8 @@ class SetComposition(NamedTuple):
 class CoverageSums:
     """Coverage sum: weighted sum of powers of the distances to the nearest selected scenario, over all clusterings.
 
-    `is_critical`, shape (n,), marks scenarios of critical clusters. `size` is the number of scenarios to select. The
-    costs of up to `max_in_memory` scenarios are kept in memory.
+    `is_critical`, shape (n,), marks scenarios of critical clusters. `size` is the number of scenarios to select. With
+    up to `max_in_memory` scenarios, the costs for all pairs of scenarios are kept in memory.
     """
 
     def __init__(
@@ -68,7 +68,7 @@ class CoverageSums:
         )
 
     def _compute_costs(self, clustering: int, candidates: IntArray) -> FloatArray:
-        """Compute the weighted cost of each scenario, in a clustering, if only one candidate is selected.
+        """Compute, in one clustering, the weighted cost of each scenario if only a single candidate were selected.
 
         The result has a row per candidate and a column per scenario.
         """
@@ -85,7 +85,7 @@ class CoverageSums:
         return [self._compute_costs(k, candidates) for k in range(len(self._distances))]
 
     def uncovered_costs(self, selected: Sequence[int]) -> list[FloatArray]:
-        """Return the cost of each scenario, given the selected scenarios, shape (n,), for each clustering."""
+        """Return, for each clustering, the costs of all scenarios if `selected` are selected, shape (n,)."""
         left_costs = [np.full(len(self._weights), np.inf) for _ in self._distances]
         for first in range(0, len(selected), BLOCK_SIZE):
             batch = np.asarray(selected[first : first + BLOCK_SIZE], dtype=np.int64)
@@ -108,7 +108,7 @@ class CoverageSums:
         return gains
 
     def start_greedy_search(self, selected: Sequence[int]) -> CellGreedySearch | RowGreedySearch:
-        """Return a search object that finds one by one the scenarios that lower the coverage sum most.
+        """Return a search that finds, one after the other, the scenarios whose selection lowers the coverage sum most.
 
         `selected` are the indices of the scenarios selected so far.
         """
@@ -148,7 +148,7 @@ class CoverageSums:
 
 
 class RowGreedySearch:
-    """Lazy greedy search on rows of a matrix of costs; it has the methods of `CellGreedySearch`."""
+    """Greedy search that computes gains only when needed, from rows of costs; same interface as `CellGreedySearch`."""
 
     def __init__(self, sums: CoverageSums, selected: Sequence[int]) -> None:
         self._sums = sums
@@ -173,7 +173,10 @@ class RowGreedySearch:
 
 
 def _mean_neighbour_distance(distances: Distances, n_neighbours: int) -> float:
-    """Return the mean distance of scenarios to the neighbour of rank `n_neighbours`; 1 if the mean is 0."""
+    """Return the mean distance of scenarios to their `n_neighbours`-th neighbour, by which distances are divided.
+
+    If this mean is 0, the result is 1, so that the division is possible.
+    """
     n = len(distances)
     # A slice of a matrix is not a copy.
     blocks: list[slice | IntArray] = [slice(first, first + BLOCK_SIZE) for first in range(0, n, BLOCK_SIZE)]

@@ -11,7 +11,7 @@ from cornercase.study import StudyFile
 def find_critical_clusters(study: StudyFile, analysis: Analysis) -> list[int]:
     """Return the clusters whose median score of the first metric is critical.
 
-    If all clusters are critical or there is no threshold, the result is the single cluster with the most critical
+    If all clusters are critical, or the study has no threshold, the result is only the cluster with the most critical
     median.
     """
     objective, labels = study.objective, analysis.labels

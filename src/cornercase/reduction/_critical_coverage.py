@@ -36,18 +36,19 @@ _MAX_DISTANCES: Final = 512
 class CriticalCoverage:
     """Coverage of the critical scenarios by the selected ones, for one aspect (what scenarios are compared by).
 
-    The shares and distances are in-sample: selected critical scenarios count as similar to themselves. `held_out` and
-    `unlike` are about scenarios outside of the sample.
+    The shares and distances are in-sample: they include critical scenarios that were themselves selected, at distance
+    0. `held_out` and `unlike` are about scenarios that were not available for selection.
 
     Attributes
     ----------
     within : float
         Largest distance of two similar scenarios, in the unit of the distances.
     critical, boundary : float or None
-        Share of scenarios that are similar to a selected scenario, among the critical scenarios that were run, and
-        among the critical scenarios on the boundary of the critical set; None if there are none.
+        Share of scenarios that are similar to a selected scenario: among all critical scenarios that were run, and
+        among those on the boundary of the critical set. None if there are no such scenarios.
     random, medoids : float or None
-        The value of `critical` for the baselines: the median of 100 random selections of the same size, and k-medoids.
+        The value of `critical` if scenarios are selected at random (median of 100 selections of the same size), and
+        if k-medoids are selected.
     largest, mean : float or None
         Largest and mean distance from critical scenarios that were run to the nearest selected scenario.
     medoids_largest, medoids_mean : float or None
@@ -96,12 +97,15 @@ def measure_critical_coverage(
     """Measure how well selected scenarios represent the critical scenarios, from the distances to the selected ones.
 
     `points`, shape (n, d), are in the unit cube. `scores` are lower if more critical. A critical scenario is on the
-    boundary if any of the 2 d scenarios nearest to it is not critical. Scenarios that were not run are predicted by two
-    Gaussian processes over the parameter space. The first predicts the scores, the second the distance of critical
-    scenarios to the nearest selected scenario. Both are calibrated by leave-one-out as in `CriticalSet`. The second
-    uses at most 512 scenarios, drawn at random, with which it is exact; with more, intervals would be narrower.
-    `random_distances` are the distances of the critical scenarios to random selections, by default those in
-    `nearest_distances`.
+    boundary if at least one of the 2 d scenarios nearest to it is not critical.
+
+    For scenarios that were not run, two Gaussian processes over the parameter space make predictions. The first
+    predicts the scores, the second the distance from critical scenarios to the nearest selected scenario. Both are
+    calibrated by leave-one-out as in `CriticalSet`. The second process learns from at most 512 random scenarios, since
+    an exact process is slow with more; so its intervals are wider than they could be.
+
+    `random_distances` are the distances from the critical scenarios to random selections; by default they are taken
+    from `nearest_distances`.
     """
     critical = criterion.is_critical(scores)
     distance, medoid_distance = nearest_distances.to_selected, nearest_distances.to_medoids
@@ -140,8 +144,8 @@ def measure_critical_coverage(
 def max_similar_distance(distances: Distances, labels: IntArray, share: float = DEFAULT_SIMILARITY) -> float:
     """Return the distance up to which two scenarios are similar: `share` of the median distance within clusters.
 
-    Without clusters, it is `share` of the median distance of any two scenarios. Embedded distances are sampled at 1,000
-    scenarios.
+    Without clusters, it is `share` of the median distance of any two scenarios. If `distances` are embedded, the median
+    is computed from a sample of 1,000 scenarios.
     """
     check_similarity(share)
     if isinstance(distances, EmbeddedDistances):
@@ -162,7 +166,7 @@ def check_similarity(share: float) -> None:
 
 
 def _has_neighbour_among(points: FloatArray, is_other: BoolArray) -> BoolArray:
-    """Return a mask, shape (n,), of points with any point of `is_other` among their 2 d nearest neighbours."""
+    """Mark each point that has, among its 2 d nearest neighbours, at least one point marked by `is_other`."""
     count = min(2 * points.shape[1], len(points) - 1)
     if count < 1:
         return np.zeros(len(points), dtype=np.bool_)

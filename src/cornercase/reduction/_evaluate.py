@@ -39,8 +39,8 @@ from cornercase.study import ScenarioRecord, StudyFile
 class StudyData:
     """Finished scenarios and analyses of a study.
 
-    `rows` are by scenario id, `scores` by metric and scenario id. `analyses` and `distances` are by aspect (what
-    scenarios are compared by).
+    `rows` maps scenario ids to scenarios, and `scores` maps metrics to scores by scenario id. `analyses` and
+    `distances` map each aspect (what scenarios are compared by) to its clustering and its distances.
     """
 
     study: StudyFile
@@ -65,7 +65,7 @@ def load_study_data(study: StudyFile) -> StudyData:
 def measure_held_out_by_aspect(data: StudyData, folds: Sequence[Fold]) -> dict[str, HeldOutDistances | None]:
     """Measure, for each aspect, the distances of held-out scenarios to the set selected without them.
 
-    Each fold of the cross-validation holds out other scenarios. Folds contain ids of scenarios.
+    `folds` are the folds of a cross-validation, with scenarios given by id.
     """
     return {
         name: measure_held_out_distances(
@@ -93,9 +93,9 @@ def evaluate_coverage(
 ) -> dict[str, Coverage]:
     """Measure, for each aspect, how well the selected scenarios represent all scenarios.
 
-    `selected` are ids. `held_out` comes from `measure_held_out_by_aspect`. `nearest_distances` are distances to the
-    selected scenarios that are known, so that they are not computed again. An aspect (what scenarios are compared by)
-    is left out if no selected scenario was analysed by it.
+    `selected` are ids. `held_out` comes from `measure_held_out_by_aspect`. If the caller has computed the distances to
+    the selected scenarios already, they are given as `nearest_distances`. An aspect (what scenarios are compared by) is
+    left out if no selected scenario was analysed by it.
     """
     coverage = {}
     for name, analysis in data.analyses.items():
@@ -117,9 +117,9 @@ def evaluate_critical_coverage(
 ) -> dict[str, CriticalCoverage]:
     """Measure, for each aspect, how well the selected scenarios represent the critical scenarios.
 
-    `selected` are ids. The result is empty without a threshold. Two scenarios are similar up to a distance in
-    `similar_distances`. By default this is the share `similarity` of the median distance within clusters. Random
-    selections are redrawn with the seed of the study.
+    `selected` are ids. The result is empty if the study has no threshold. Two scenarios are similar if their distance
+    is at most the value for the aspect in `similar_distances`, by default `similarity` times the median distance within
+    clusters. The random selections that serve as a baseline are drawn with the seed of the study.
     """
     meta, space = data.study.meta, data.study.space
     objective = data.study.objective
@@ -167,9 +167,9 @@ def evaluate_critical_coverage(
 
 
 def evaluate_with_study_threshold(study: StudyFile, reduced: ReducedSet) -> ReducedSet:
-    """Evaluate a reduced set again if its threshold differs from the threshold of the opened study.
+    """Evaluate a reduced set again if it was selected with another threshold than the opened study has.
 
-    Values for held-out scenarios are dropped, since they belong to selections with the other threshold.
+    The new evaluation has no values for held-out scenarios, since these would need new selections.
     """
     if reduced.threshold == study.critical or not reduced.scenarios:
         return reduced

@@ -47,6 +47,9 @@ class Fold:
 class HeldOutCoverage:
     """Cross-validated distances from held-out scenarios to the nearest scenario of a set selected without them.
 
+    The baselines, random selections and k-medoids, have as many scenarios as the set, and are chosen from the same
+    scenarios as the set.
+
     Attributes
     ----------
     scenarios : int
@@ -54,12 +57,12 @@ class HeldOutCoverage:
     largest, mean : float
         Largest and mean distance, in the unit of the distances.
     random_largest, random_mean : float
-        Medians of the largest and of the mean distance over random selections of the same size, from the same
-        scenarios.
+        Medians, over the random selections, of the largest and of the mean distance.
     better_largest, better_mean : float
-        Shares of the random selections with a larger maximum, and with a larger mean, than the set.
+        Shares of the random selections whose largest distance, and whose mean distance, is larger than that of the
+        set.
     medoids_largest, medoids_mean : float
-        Largest and mean distance for k-medoids of the same scenarios.
+        Largest and mean distance if k-medoids are selected.
 
     Examples
     --------
@@ -93,7 +96,8 @@ class HeldOutCriticalCoverage:
     boundary : float or None
         The same share among the scenarios on the boundary of the critical set; None if there are none.
     random, medoids : float
-        The value of `critical` for the baselines: the median of 100 random selections of the same size, and k-medoids.
+        The value of `critical` if scenarios are selected at random (median of 100 selections of the same size), and
+        if k-medoids are selected.
 
     Examples
     --------
@@ -127,7 +131,8 @@ class HeldOutDistances:
 def draw_folds(n_scenarios: int) -> list[IntArray]:
     """Divide scenarios into five random folds; return the indices of the held-out scenarios of each fold.
 
-    With more than 600 scenarios only the first fold is returned, with fewer than 10 no fold.
+    With more than 600 scenarios only the first fold is returned, since it is large enough and selecting takes long.
+    With fewer than 10 scenarios the folds would be too small, so no fold is returned.
     """
     if n_scenarios < _MIN_SCENARIOS:
         return []
@@ -160,9 +165,10 @@ def measure_held_out_distances(all_distances: Distances, all_folds: Sequence[Fol
 
 
 def summarize_distances(to_selected: FloatArray, to_medoids: FloatArray, to_random: FloatArray) -> dict[str, float]:
-    """Summarize distances to the nearest selected scenario by the figures that `HeldOutCoverage` and `Coverage` share.
+    """Return the attributes that `HeldOutCoverage` and `Coverage` have in common, by name.
 
-    The distances have shape (m,), (m,) and (draws, m).
+    They are computed from distances to the nearest selected scenario. The distances have shape (m,) for the reduced set
+    and for k-medoids, and (draws, m) for random selections.
     """
     random_largest, random_mean = to_random.max(axis=1), to_random.mean(axis=1)
     return {
@@ -197,8 +203,8 @@ def summarize_held_out_critical(
 ) -> HeldOutCriticalCoverage | None:
     """Return the shares of critical held-out scenarios that are similar to a selected one; None if none are critical.
 
-    Two scenarios are similar up to `similar_distance`. `critical_mask` and `boundary_mask`, shape (n,), mark the
-    critical scenarios, and the scenarios on the boundary of the critical set.
+    Two scenarios are similar if their distance is at most `similar_distance`. Of all n scenarios, `critical_mask` marks
+    the critical ones, and `boundary_mask` the critical ones on the boundary of the critical set.
     """
     if held_out_distances is None or not critical_mask[held_out_distances.held_out].any():
         return None

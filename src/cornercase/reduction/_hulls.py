@@ -64,11 +64,12 @@ def find_convex_hull(points: npt.ArrayLike) -> Hull:
 
 
 def find_hull_archetypes(points: npt.ArrayLike, k: int | None = None) -> IntArray:
-    """Return at most `k` vertices of the convex hull that differ most, as rising indices; by default all vertices.
+    """Return the indices, in ascending order, of at most `k` vertices of the convex hull; by default all vertices.
 
-    The vertices are selected by farthest-first traversal (Gonzalez, "Clustering to minimize the maximum intercluster
-    distance", 1985). The first vertex is the one farthest from the mean. Each further vertex is the one farthest from
-    the vertices selected before, the first if tied.
+    If the hull has more than `k` vertices, vertices far from each other are selected by farthest-first traversal
+    (Gonzalez, "Clustering to minimize the maximum intercluster distance", 1985). The first vertex is the one farthest
+    from the mean of the points. Each further vertex is the one farthest from the vertices selected before. If vertices
+    are tied, the first of them is selected.
     """
     if k is not None and k < 1:
         raise InputError(f"`k` {k}: give at least 1.")

@@ -27,17 +27,19 @@ class KillMatrix:
     driver : str
         Original driver.
     requirements : tuple of str
+        Requirements that a driver must not violate.
     scenarios : tuple of int
         Ids of the scenarios that were run with the mutants.
     failed : ndarray of bool, shape (n,)
         True for a scenario in which the original driver violates a requirement, or that could not be run. This
         scenario kills nothing.
     mutants : tuple of Mutant
+        Mutants with which the scenarios were run.
     kills : ndarray of bool, shape (n, m)
-        Whether a scenario kills a mutant.
+        Whether a scenario (row) kills a mutant (column).
     held_out : KillMatrix or None
-        Kill matrix of other mutants of the driver in the same scenarios, to evaluate a selection that was made by the
-        mutants of this matrix.
+        Kill matrix of the same scenarios for other mutants of the driver. If scenarios are selected by the mutants of
+        this matrix, the other mutants evaluate the selection.
 
     Examples
     --------
@@ -63,7 +65,7 @@ class KillMatrix:
     held_out: KillMatrix | None = None
 
     def kills_of(self, scenarios: Sequence[int]) -> BoolArray:
-        """Return which of the m mutants each of some scenarios kills.
+        """Return, for each of the given scenarios, which of the m mutants the scenario kills.
 
         Parameters
         ----------
@@ -83,7 +85,7 @@ class KillMatrix:
         return rows
 
     def mutation_score(self, scenarios: Sequence[int] | None = None) -> MutationScore:
-        """Return the mutation score of some scenarios: how many mutants they kill together.
+        """Return the mutation score of the given scenarios: how many mutants they kill together.
 
         Parameters
         ----------
@@ -101,7 +103,7 @@ class KillMatrix:
 
     @property
     def counts_by_mutation(self) -> dict[str, tuple[int, int]]:
-        """Numbers of killed mutants and of all mutants, by kind of mutation."""
+        """For each kind of mutation: the number of killed mutants, and the number of all mutants."""
         is_killed = self.kills.any(axis=0)
         mutations = np.array([mutant.mutation for mutant in self.mutants])
         return {
@@ -159,8 +161,8 @@ class MutationScore:
     mutants : int
         Number of mutants.
     killable : int
-        Number of mutants killed by at least one of all scenarios that were run. In these scenarios, the other mutants
-        may be as good as the original driver (equivalent mutants).
+        Number of mutants that at least one of all scenarios that were run kills. The remaining mutants may behave as
+        well as the original driver in all these scenarios (equivalent mutants).
     killed : int
         Number of mutants killed by the scenarios in question.
 
@@ -178,12 +180,12 @@ class MutationScore:
 
     @property
     def share(self) -> float:
-        """Killed mutants as a share of the mutants that any scenario kills; NaN if there are none."""
+        """Share of the killable mutants that are killed: `killed` divided by `killable`; NaN if `killable` is 0."""
         return self.killed / self.killable if self.killable else float("nan")
 
     @property
     def interval(self) -> tuple[float, float]:
-        """95 % Clopper-Pearson interval of `share`, for mutants drawn in the same way."""
+        """95 % Clopper-Pearson interval of `share`, if the mutants are seen as a random sample of possible mutants."""
         return clopper_pearson_interval(self.killed, self.killable, _TAIL_PROBABILITY)
 
     def to_json(self) -> dict[str, Any]:
@@ -217,9 +219,10 @@ class MutantSelection:
     chosen_by : MutationScore
         Mutation score for the mutants by which scenarios were selected.
     held_out : MutationScore or None
-        Mutation score for other mutants, which did not influence the selection; None if there are none.
+        Mutation score for held-out mutants, which did not influence the selection; None if there are none.
     without : MutationScore or None
-        Mutation score, for the other mutants, of the set that `reduce` selects without mutants.
+        For comparison: the score for the held-out mutants if `reduce` selects scenarios without regard to mutants.
+        None if there are no held-out mutants.
 
     Examples
     --------

@@ -13,7 +13,10 @@ from cornercase.clustering._embedding import Distances, EmbeddedDistances
 
 
 def find_prototype(distances: Distances, members: npt.ArrayLike) -> int:
-    """Return the medoid of a cluster: the member with the least sum of distances to the others, the first if tied."""
+    """Return the medoid of a cluster: the member with the smallest sum of distances to all members, the first if tied.
+
+    `members` and the result are indices of scenarios.
+    """
     indices = np.asarray(members, dtype=np.int64)
     if not len(indices):
         raise InputError("A cluster without scenarios has no prototype; leave it out.")
@@ -26,10 +29,11 @@ def find_prototype(distances: Distances, members: npt.ArrayLike) -> int:
 def find_k_medoids(distances: Distances, k: int, max_iterations: int = 50) -> IntArray:
     """Choose `k` scenarios such that the mean distance from all scenarios to the nearest of them is small.
 
-    Returns rising indices. First, scenarios are added one after the other, each time the scenario that lowers this mean
-    most (BUILD: L. Kaufman, P. J. Rousseeuw, "Finding Groups in Data", 1990). Then scenarios are assigned to their
-    nearest medoid, and each medoid moves to the medoid of these scenarios, until nothing changes (H.-S. Park, C.-H.
-    Jun, "A simple and fast algorithm for K-medoids clustering", 2009). For embedded distances k-means is used instead.
+    Returns their indices in ascending order. First, scenarios are added one after the other, each time the scenario
+    that lowers this mean most (BUILD: L. Kaufman, P. J. Rousseeuw, "Finding Groups in Data", 1990). Then each scenario
+    is assigned to its nearest medoid, and each medoid is replaced by the medoid of the scenarios assigned to it, until
+    nothing changes (H.-S. Park, C.-H. Jun, "A simple and fast algorithm for K-medoids clustering", 2009). For embedded
+    distances k-means is used instead.
     """
     if isinstance(distances, EmbeddedDistances):
         return distances.medoids(k)

@@ -24,15 +24,18 @@ _GAIN_TOLERANCE: Final = 1e-12
 
 
 def select_killing(kills: BoolArray, distances_to: Callable[[Sequence[int]], FloatArray], size: int) -> list[int]:
-    """Select at most `size` scenarios that kill as many mutants as possible, each mutant several times.
+    """Select at most `size` scenarios that kill as many mutants as possible, preferably more than once.
 
-    A mutant is a driver made worse in one respect. A scenario kills a mutant if the mutant violates a requirement
-    there, and the original driver violates none. The scenario that kills most is added greedily. A mutant counts half
-    as much with each selected scenario that kills it already. The sum of these counts is submodular, so the result
-    reaches at least 63 % of the maximum (G. L. Nemhauser, L. A. Wolsey, M. L. Fisher, "An analysis of approximations
-    for maximizing submodular set functions", 1978). If tied, the scenario farthest from the selected ones is added.
-    Scenarios similar to a selected one are skipped. `kills`, shape (n, m), says which scenario kills which mutant.
-    `distances_to` returns distances from some scenarios to all scenarios, like `Selection.distances_to`.
+    A mutant is a driver made worse in one respect. A scenario kills a mutant if, in this scenario, the mutant violates
+    a requirement and the original driver violates none. Step by step, the scenario whose killed mutants have the
+    largest total weight is added. The weight of a mutant begins at 1, and is halved by each selected scenario that
+    kills the mutant. If tied, the scenario farthest from the selected ones is added. Scenarios similar to a selected
+    one are skipped. Without skipping, such a greedy selection reaches at least 63 % of the largest possible total (G.
+    L. Nemhauser, L. A. Wolsey, M. L. Fisher, "An analysis of approximations for maximizing submodular set functions",
+    1978).
+
+    `kills`, shape (n, m), says which scenario kills which mutant. `distances_to` returns distances from the given
+    scenarios to all scenarios, like `Selection.distances_to`.
     """
     n_kills = np.zeros(kills.shape[1])
     is_candidate = kills.any(axis=1)

@@ -43,7 +43,10 @@ def draw_fold_order(n_scenarios: int) -> IntArray:
 def distances_to_nearest_per_selection(
     distances: Distances, selections: IntArray, scenarios: IntArray | None = None
 ) -> FloatArray:
-    """Return the distance of m scenarios, by default all, to the nearest scenario of each selection, (draws, m)."""
+    """Return the distances from m scenarios, by default all, to the nearest scenario of each selection.
+
+    The result has shape (draws, m), with a row for each of the `selections`.
+    """
     if isinstance(distances, EmbeddedDistances):
         return distances.distances_to_nearest_per_choice(selections, scenarios)
     columns = slice(None) if scenarios is None else scenarios

@@ -99,21 +99,23 @@ def reduce(
     study : Study, StudyFile or path
         Study that was analysed: an object open for writing, or the path of the file.
     folder : path
-        Folder to write. Each scenario file in the folder runs by itself and gives the same recording.
-        ``manifest.json`` says why each scenario was selected. For a study of imported recordings only the manifest is
-        written. An earlier set in the folder is replaced as a whole; other files are left alone.
+        Folder to write. Each scenario file in the folder can be run without the study, and then gives the same
+        recording as in the study. ``manifest.json`` says why each scenario was selected. For a study of imported
+        recordings only the manifest is written. An earlier reduced set in the folder is replaced as a whole; other
+        files are left alone.
     by : str, optional
         Aspect (what scenarios are compared by) whose clusters are represented. The default is the aspect whose clusters
-        say most about how scenarios end, which the page shows first. If no aspect has several clusters, the default is
-        the metric that was searched. ``"bands:METRIC"`` represents bands of high, medium and low criticality by a
-        metric instead of clusters; the study must have been analysed by this metric.
+        say most about how scenarios end; the report shows this aspect first. If no aspect has several clusters, the
+        default is the first metric of the study. With ``"bands:METRIC"``, the selected scenarios represent bands of
+        high, medium and low criticality by a metric instead of clusters; the study must have been analysed by this
+        metric.
     size : int, optional
         Number of scenarios to select.
     share : float, optional
         Share of all scenarios to select, above 0 and up to 1.
     cover : float, optional
-        Select as few scenarios as possible, such that the distance of each scenario to the nearest selected scenario is
-        at most this share of the largest distance.
+        Select few scenarios, such that the distance from each scenario to the nearest selected scenario is at most
+        this share of the largest distance of any two scenarios. The share is above 0 and up to 1.
     archetypes : int or "auto", optional
         Select from each cluster only the prototype (most central scenario) and at most this many archetypes (extreme
         scenarios), as in the paper that cornercase follows. ``"auto"`` selects about a tenth of all scenarios.
@@ -121,8 +123,8 @@ def reduce(
         Method that finds archetypes: corners of the hull, archetypal analysis, corners of the hulls of near-convex
         parts, or archetypal analysis in kernel space. ``"auto"`` decides by the convexity of each cluster.
     within : float, default 0.5
-        Share of the median distance within clusters up to which two scenarios count as similar. The coverage of the
-        critical scenarios depends on it.
+        Two scenarios count as similar if their distance is at most this share of the median distance within clusters.
+        Similarity matters only for the evaluation: for the share of critical scenarios similar to a selected one.
     critical : float, optional
         Score from which a scenario is critical, for selection and evaluation. The default is the threshold of the
         study, which is not changed.
@@ -130,8 +132,9 @@ def reduce(
         Which scenarios kill which mutants of the driver, from `cornercase.suite.analyze_mutants`. Scenarios that
         together kill as many mutants as possible come first, then the scenarios that are selected without mutants.
     scenario : path or ScenarioFile, optional
-        File that was explored, from which the scenario files are made. By default it is searched at the path in the
-        study, next to the study and in the current folder, and recognised by its fingerprint.
+        Logical scenario that was explored, from which the concrete scenario files are made. By default the file is
+        looked for at the path that the study holds, next to the study and in the current folder, and is recognised by
+        its fingerprint.
     memory : str or float, default "4 GB"
         Memory limit of the process, in bytes or as text.
     progress : bool, default False
@@ -225,7 +228,7 @@ def default_aspect(study: StudyFile) -> str:
     """Return the aspect by which scenarios are selected by default.
 
     An aspect is what scenarios are compared by. The default aspect has the clusters that say most about how scenarios
-    end. If no aspect has several clusters, the default is the metric that was searched.
+    end. If no aspect has several clusters, the default is the first metric of the study.
     """
     analyses = read_analyses(study)
     searched, headline = study.meta.metrics[0], find_headline_aspect(analyses)
@@ -235,10 +238,10 @@ def default_aspect(study: StudyFile) -> str:
 
 
 def _read_clusters_or_bands(study: StudyFile, by: str) -> tuple[Analysis, list[str]]:
-    """Read the groups of scenarios that are to be represented, and their names.
+    """Read the clusters, or the bands of criticality, that the selected scenarios are to represent.
 
-    By default the groups are the clusters by an aspect, without names. For ``bands:METRIC``, bands of criticality take
-    the place of clusters, with names.
+    If `by` is an aspect (what scenarios are compared by), the result is its clustering and an empty list. If `by` is
+    ``bands:METRIC``, the result is a clustering with a cluster for each band, and the names of the bands.
     """
     if not by.startswith(BANDS_PREFIX):
         return read_analysis(study, by), []
@@ -252,7 +255,7 @@ def _read_clusters_or_bands(study: StudyFile, by: str) -> tuple[Analysis, list[s
 
 
 def _replace_clusters_by_bands(reduced: ReducedSet, names: Sequence[str]) -> ReducedSet:
-    """Replace clusters by the names of bands of criticality in the reasons why scenarios are selected."""
+    """Name bands of criticality instead of clusters in the reasons why scenarios were selected."""
     scenarios = tuple(
         replace(entry, why=entry.why.replace(f"{reduced.by} {entry.cluster}", f"the {names[entry.cluster]}"))
         for entry in reduced.scenarios
@@ -289,7 +292,7 @@ def _require_memory(study: StudyFile, memory_limit: MemoryLimit) -> None:
 
 
 def _distances_by_aspect(data: StudyData, analysis: Analysis) -> list[Distances]:
-    """Return distances by the main aspect first, then by the other aspects that have the same scenarios."""
+    """Return the distances by the aspect of `analysis`, then by each other aspect with as many analysed scenarios."""
     others = [
         data.distances[name]
         for name, other in data.analyses.items()
@@ -354,7 +357,7 @@ def _make_selected_scenario(
 
 
 def _hull_facets(points: FloatArray, parts: Sequence[IntArray], ids: Sequence[int]) -> tuple[tuple[int, ...], ...]:
-    """Return the facets of the hulls of a cluster's parts; each facet has the ids of the scenarios at its corners."""
+    """Return the facets of the convex hulls of a cluster's parts; a facet lists the scenario ids at its corners."""
     return tuple(
         tuple(ids[part[i]] for i in facet)
         for part in parts

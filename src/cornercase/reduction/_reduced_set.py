@@ -35,11 +35,11 @@ class SelectedScenario:
         ``"archetype"``: an extreme scenario of a cluster. ``"prototype"``: the scenario most like all others of a
         cluster. ``"critical prototype"``: the scenario most like the critical scenarios of a cluster whose prototype is
         not critical. ``"gap"``: a scenario far from all scenarios selected before. ``"exposing"``: a scenario that
-        kills mutants of the driver. ``"chosen"``: a scenario named by a user.
+        kills mutants of the driver. ``"chosen"``: a scenario that a user chose by its id.
     why : str
         Reason for the selection of the scenario, in words.
     values : mapping of str to float or str
-        Values of the parameters, by name.
+        Values of the scenario's parameters, by parameter name.
     scores : mapping of str to float
         Scores by metric, in the metric's unit.
 
@@ -71,18 +71,19 @@ class ReducedSet:
     by : str
         Aspect (what scenarios are compared by) whose clusters are represented.
     n_run : int
-        Number of scenarios that had been run.
+        Number of scenarios of the study that had been run when the set was selected.
     scenarios : tuple of SelectedScenario
         Selected scenarios, in the order of selection.
     shapes : tuple of ClusterShape
-        Shapes of the clusters; empty in a study of an early version.
+        Shapes of the clusters; empty if an early version of cornercase made the study.
     coverage : mapping of str to Coverage
         Coverage of all scenarios, by aspect. An aspect is missing if no selected scenario was analysed by it.
     critical : mapping of str to CriticalCoverage
         Coverage of the critical scenarios, by aspect; empty without a threshold.
     hulls : mapping of int to tuple of tuple of int
-        Facets of the hulls in the parameter space, by cluster. A cluster of near-convex parts has a hull for each part.
-        Each facet has the ids of the scenarios at its corners.
+        Facets of the convex hull of each cluster in the parameter space, by cluster. If a cluster consists of
+        near-convex parts, the facets of the hulls of all parts. Each facet is given by the ids of the scenarios at its
+        corners.
     exposing : MutantSelection or None
         Result of the selection by mutants of a driver; None if there was no selection by mutants.
     threshold : float or None

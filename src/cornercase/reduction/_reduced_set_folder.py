@@ -1,8 +1,8 @@
 """Folder of a reduced set, replaced atomically: it holds the earlier set or the new set, never parts of both.
 
-The new set is first written into a hidden folder within the folder. The set counts as replaced once ``manifest.json``
-is moved into place. The other files are then moved from the hidden folder, whose name depends on the manifest. If this
-is interrupted, the next reader or writer of the set completes the replacement.
+The new set is first written into a hidden subfolder, whose name is derived from the manifest. Then its
+``manifest.json`` is moved into the folder; from this moment the new set counts. Last, the other files are moved into
+the folder. If these moves are interrupted, the next reader or writer of the set completes them.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _MALFORMED_ERRORS: Final = (ValueError, LookupError, TypeError, AttributeError, 
 
 
 class ReducedSetFolder:
-    """Folder whose reduced set is about to be replaced by the files in `hidden`, a folder within it."""
+    """Folder whose reduced set is about to be replaced by a new set; the new files are in the subfolder `hidden`."""
 
     def __init__(self, folder: Path, hidden: Path) -> None:
         self._folder, self._hidden = folder, hidden
@@ -52,9 +52,10 @@ class ReducedSetFolder:
         return dict(sorted(self._digests.items()))
 
     def add(self, relative_path: str, content: bytes) -> None:
-        """Write a file of the new set; InputError if this would overwrite a file that belongs to no set.
+        """Write a file of the new set; InputError if a file that belongs to no set would be overwritten.
 
-        `relative_path` is the path in the folder, with ``/``. If a path is added again, the content must be the same.
+        `relative_path` is the path of the file relative to the folder, with ``/`` as separator. A path may be added
+        again with the same content.
         """
         digest = hashlib.sha256(content).hexdigest()
         if self._digests.get(relative_path) == digest:
@@ -185,7 +186,7 @@ def complete_replacement(folder: Path) -> None:
 
 
 def _remove_earlier_files(folder: Path, earlier_manifest: Mapping[str, Any], current_files: Mapping[str, str]) -> None:
-    """Remove scenario files of the earlier set, except files that were changed since."""
+    """Remove scenario files of the earlier set that the new set lacks, except files that were changed after writing."""
     digests, new_files = _file_digests(earlier_manifest), {path.casefold() for path in current_files}
     for path in [str(scenario["file"]) for scenario in earlier_manifest["scenarios"]] if digests else ():
         if path not in digests or path.casefold() in new_files:
@@ -238,7 +239,10 @@ def _read_manifest(manifest: Path) -> dict[str, Any]:
 
 
 def _file_digests(manifest_values: Mapping[str, Any]) -> dict[str, str]:
-    """Return the SHA-256 of each file of a set, by path; empty for a set of an early version."""
+    """Return the SHA-256 of each file of a set, by path.
+
+    The digests are empty if an early version of cornercase wrote the set.
+    """
     try:
         files = {str(scenario["file"]): "" for scenario in manifest_values["scenarios"]}
         return files | {str(path): str(digest) for path, digest in manifest_values.get("files", {}).items()}
@@ -249,7 +253,7 @@ def _file_digests(manifest_values: Mapping[str, Any]) -> dict[str, str]:
 def _safe_path(folder: Path, relative_path: str) -> Path:
     """Return the path of a file of a set; InputError if the path is outside the folder.
 
-    The manifest that lists the file may come from anywhere.
+    The path comes from a manifest, which is not trusted.
     """
     file = folder / relative_path
     parts = re.split(r"[\\/]", relative_path)

@@ -1,4 +1,4 @@
-"""Conversion of a reduced set to plain values, for ``manifest.json`` and for the study, and back."""
+"""Conversion of a reduced set to plain values for ``manifest.json`` and for the study file, and back."""
 
 from __future__ import annotations
 
@@ -40,10 +40,9 @@ _EVALUATION_NOTE: Final = (
 def make_manifest(
     study: StudyFile, reduced_set: ReducedSet, cluster_names: Mapping[int, str], files: Mapping[str, str]
 ) -> dict[str, Any]:
-    """Return the content of ``manifest.json``: the reduced set, its origin, and all that is needed to run it again.
+    """Return the content of ``manifest.json``: reduced set, its origin, and what is needed to run the scenarios again.
 
-    `cluster_names` maps clusters to names. `files` has the SHA-256 of each file that was written, by path in the
-    folder.
+    `cluster_names` maps clusters to names. `files` maps the path of each written file in the folder to its SHA-256.
     """
     meta = study.meta
     return (
@@ -79,7 +78,7 @@ def make_manifest(
 
 
 def _study_threshold_entry(study: StudyFile) -> dict[str, float | None]:
-    """Return an entry with the study's stored threshold if the set was selected with another threshold; else empty."""
+    """Return the manifest entry for the study's own threshold; empty if the set was selected with this threshold."""
     return {} if study.critical == study.meta.critical else {"critical_threshold_of_the_study": study.meta.critical}
 
 

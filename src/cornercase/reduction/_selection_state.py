@@ -24,7 +24,7 @@ class Selected:
 
     Role ``"critical prototype"``: the medoid of the critical scenarios of a cluster whose prototype is not critical.
     Role ``"gap"``: a scenario that was far from all scenarios selected before. Role ``"exposing"``: a scenario that
-    kills mutants of the driver. Role ``"chosen"``: a scenario that a user named.
+    kills mutants of the driver. Role ``"chosen"``: a scenario that a user chose by its id.
     """
 
     index: int
@@ -50,10 +50,11 @@ class Selection:
         return [selected.index for selected in self.selected]
 
     def distances_to(self, indices: Sequence[int] | IntArray) -> FloatArray:
-        """Return the distances of m scenarios to all n scenarios, shape (m, n): the largest distance in any clustering.
+        """Return the distances from m scenarios to all n scenarios, shape (m, n), over all clusterings.
 
-        Distances in a clustering are divided by its largest distance. Rows are computed on demand, since a full matrix
-        would be as large as the matrix of a clustering.
+        In each clustering, distances are divided by the largest distance of the clustering. Of the quotients for two
+        scenarios, the largest is returned. Only the requested rows are computed, since all n rows would need as much
+        memory as the distances of a clustering.
         """
         rows = list(indices)
         scaled = [matrix[rows] / extent for matrix, extent in zip(self._distances, self._extents, strict=True)]

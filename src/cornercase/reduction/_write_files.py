@@ -1,4 +1,4 @@
-"""Files of single scenarios of a study: the selected scenarios of a set, or a suite that a user chose by ids."""
+"""Write scenarios of a study as concrete scenario files: the scenarios of a reduced set, or those that a user chose."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ def write_chosen_scenarios(
     scenario: Path | str | ScenarioFile | None = None,
     critical: float | None = None,
 ) -> tuple[SelectedScenario, ...]:
-    """Write the scenarios with these ids as files that run on their own, with a manifest; the study is only read.
+    """Write the scenarios with these ids as a suite: concrete scenario files and a manifest, as `reduce` writes them.
 
-    The folder is a suite, as `reduce` writes one. `InputError` if an id is unknown or was not run yet, if there is no
-    scenario file, or if the folder cannot be written.
+    The study is not changed. `InputError` if an id is unknown, if a scenario was not run yet, if there is no scenario
+    file, or if the folder cannot be written.
     """
     folder = check_output_folder("folder", folder)
     with open_study(study, readonly=True, critical=critical) as opened:
@@ -109,12 +109,14 @@ def _read_scenarios_by_id(study: StudyFile, ids: Iterable[int]) -> list[Scenario
     if unknown:
         which = f"the ids {min(rows)} to {max(rows)}" if rows else "no scenarios"
         raise InputError(
-            f"`ids` {_format_ids(unknown)}: {study.path} has no such scenario; it has {which}. Look them up in the"
-            " table of its report."
+            f"`ids` {_format_ids(unknown)}: {study.path} has no such scenario; it has {which}. Look up ids in the table"
+            " of the study's report."
         )
     pending = [number for number in wanted if rows[number].state not in ("done", "failed")]
     if pending:
-        raise InputError(f"`ids` {_format_ids(pending)}: not run yet; run `explore` to the end, or leave them out.")
+        raise InputError(
+            f"`ids` {_format_ids(pending)}: not run yet; run `explore` to the end, or leave these ids out."
+        )
     return [rows[number] for number in wanted]
 
 
@@ -150,9 +152,9 @@ def _chosen_scenarios(
 def _drivers_with_values(
     scenario: ScenarioFile, drivers: Mapping[str, object], values: Mapping[str, Value]
 ) -> dict[str, str]:
-    """Return drivers with the varied values of their parameters as options, by entity.
+    """Return, by entity, the text that names its driver with the driver parameters that the study varied.
 
-    A file can only name drivers of cornercase; the values of other drivers are in the manifest.
+    A scenario file can only name drivers that cornercase defines; for other drivers, the manifest has the values.
     """
     by_entity: dict[str, dict[str, Value]] = {}
     for full_name, (entity, name) in scenario.parse_driver_option_names(values).items():

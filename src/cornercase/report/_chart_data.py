@@ -17,8 +17,9 @@ from cornercase.study._objective import Objective
 def search_progress_chart(data: ReportData) -> dict[str, Any]:
     """Return the data of the chart that shows the progress of the search.
 
-    At the end of each round: number of scenarios run, best score, number of critical scenarios. After some rounds: the
-    estimated fraction of the critical set that no scenario has found, with its interval.
+    The data hold, for the end of each round, the number of scenarios run, the best score and the number of critical
+    scenarios. For some rounds, they also hold the estimated fraction of the critical set that was not found yet, with
+    its interval.
     """
     meta = data.summary.meta
     objective = Objective.from_study_meta(meta)

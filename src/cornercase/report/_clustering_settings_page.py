@@ -1,4 +1,4 @@
-"""HTML page that shows the effect of the clustering settings gamma and eps, to choose them by hand."""
+"""HTML page that shows how the settings of kernel PCA (gamma) and of DBSCAN (eps) affect the clusters."""
 
 from __future__ import annotations
 
@@ -41,11 +41,12 @@ def write_clustering_settings_page(
 ) -> Path:
     """Write an HTML page that shows the effect of the clustering settings, so that an engineer can choose them.
 
-    For each aspect (what scenarios are compared by), the page has a map over gamma and eps: number of clusters, share
-    of noise, stability, agreement with the outcome, and the share of each metric's variance that the clusters explain.
-    For each cell of the map, the page shows the clusters in the parameter space and in kernel space, and the command
-    that sets this gamma and eps. The study is not changed. If settings are chosen because of their high agreement, this
-    agreement is no evidence, and the page says so.
+    For each aspect (what scenarios are compared by), the page has a map over gamma, a setting of the kernel, and eps,
+    the radius of neighbourhoods in DBSCAN. The map shows the number of clusters, the share of noise, the stability of
+    the clusters, their agreement with how scenarios end, and the share of each metric's variance that they explain. For
+    each cell of the map, the page shows the clusters in the parameter space and in kernel space, and the command that
+    sets this gamma and eps. The study is not changed. The page warns that a high agreement is no evidence for clusters
+    if their settings were chosen because of this agreement.
 
     Parameters
     ----------
@@ -183,7 +184,7 @@ def _aspect_payload(
 
 
 def _index_of_usual_min_samples(settings_map: SettingsMap, chosen: int) -> int:
-    """Return the index of `chosen`, the study's own min_samples, in the map of settings; else the middle index."""
+    """Return the index of `chosen`, the min_samples of the study, in the map; the middle index if the map lacks it."""
     counts = settings_map.min_samples
     return counts.index(chosen) if chosen in counts else len(counts) // 2
 

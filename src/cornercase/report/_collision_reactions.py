@@ -23,10 +23,10 @@ class CollisionReactionCounts:
     Attributes
     ----------
     n_collisions : int
-        Number of scenarios in which the ego collides with an entity it is measured against.
+        Number of scenarios in which the ego collides with one of the entities that the metrics consider.
     n_measured : int
-        Number of collisions whose recordings were examined: all with known motion, or an even sample of a large study.
-        All following numbers count examined collisions only.
+        Number of examined collisions: all collisions whose motion is known, or an evenly spaced sample of them in a
+        large study. All following numbers count examined collisions only.
     n_without_braking : int
         Collisions in which the ego does not brake.
     n_braking : int
@@ -34,14 +34,17 @@ class CollisionReactionCounts:
     n_driving_on : int
         Collisions in which the ego brakes, and speeds up again before the contact.
     n_reactions : int
-        Collisions in which the ego begins to brake at most 0.5 s before it could see the collision coming, or later.
+        Collisions in which the braking counts as a reaction: it begins not earlier than 0.5 s before the ego could see
+        the collision coming.
     median_reaction : float or None
-        Median time in s from when the ego could see the collision coming to its braking, over the `n_reactions`
-        collisions. None if `n_reactions` is 0.
+        Median time in s from the instant at which the ego could see the collision coming to the begin of its braking,
+        over the `n_reactions` collisions. None if `n_reactions` is 0.
     n_seen_too_late : int
-        Collisions that the ego could see coming so late that even full braking at once would not have stopped it.
+        Collisions that the ego could see coming so late that even immediate full braking would not have stopped the
+        ego in time.
     n_avoided_earlier : mapping of float to int
-        Collisions with braking that earlier braking would have avoided, by the time in s by which it begins earlier.
+        Collisions that the ego would have avoided if the same braking had begun earlier, by the time in s by which it
+        had begun earlier. Empty if the ego brakes in no collision.
     n_avoided_by_full_braking : int
         Collisions without braking that the careful driver of UN Regulation No. 157 would have avoided.
     n_avoided_by_waiting : int
@@ -81,8 +84,8 @@ def count_collision_reactions(
 ) -> CollisionReactionCounts | None:
     """Count the collisions of the ego by how it braked; None without collisions, or if no motion is known.
 
-    `impacts` are the collisions of the ego in each scenario that ran. At most `max_measured` recordings are read, which
-    is quick, and leaves an error of a few percent.
+    `impacts` are the collisions of the ego in each scenario that ran. To save time, at most `max_measured` recordings
+    are read; shares computed from this sample have an error of a few percent.
     """
     others = frozenset(study.meta.others)
     first_hits = {

@@ -211,7 +211,7 @@ class AuditEstimates:
 
     Examples
     --------
-    Of a study that was explored with ``audit=0.3``:
+    The estimates of a study that was explored with ``audit=0.3``:
 
     >>> import cornercase as cc
     >>> audits = cc.Study.open("study.db").critical_set().audits  # doctest: +SKIP
@@ -258,7 +258,7 @@ class SpaceEstimates:
 
 @dataclass(frozen=True)
 class MissedFractionAfterRuns:
-    """Estimated fraction of the critical set that none of the first `n_run` scenarios has found."""
+    """Estimate, from the first `n_run` scenarios, of the fraction of the critical set that they have not found."""
 
     n_run: int
     missed_fraction: Estimate
@@ -290,7 +290,7 @@ def estimate_missed_fractions(study: StudyFile, estimates: SpaceEstimates) -> It
 
 
 def estimate_space(study: StudyFile) -> SpaceEstimates:
-    """Estimate Pareto front, critical set and sensitivities of a study; an estimate that needs more scores is None."""
+    """Estimate Pareto front, critical set and sensitivities of a study; None for estimates that need more scenarios."""
     rows = study.finished_rows()
     if not rows:
         return SpaceEstimates()
@@ -307,15 +307,18 @@ def estimate_space(study: StudyFile) -> SpaceEstimates:
 
 
 def estimate_study_sensitivity(study: StudyFile) -> Sensitivity:
-    """Estimate the sensitivity of the objective to each parameter; ValueError if scores are too few or equal."""
+    """Estimate the sensitivity of the objective to each parameter.
+
+    ValueError if there are too few scores, or all scores are equal.
+    """
     return sensitivity_of_surrogate(fit_study_surrogate(study), study.meta.seed)
 
 
 def fit_study_surrogate(study: StudyFile) -> ScoreSurrogate:
     """Fit a Gaussian process to the scores of a study, signed so that lower is more critical.
 
-    Audits (scenarios drawn at random as a check) are left out. ValueError if there are fewer than 10
-    scores, or all are equal.
+    Audits (scenarios drawn at random as a check) are left out. ValueError if there are fewer than 10 scores, or all
+    scores are equal.
     """
     scores = study.objective.minimized_scores(study)
     searched = ~study.audit_mask()

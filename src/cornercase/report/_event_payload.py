@@ -76,6 +76,6 @@ def _events_payload(study: StudyFile, events: EncounterEvents, impact: Impact | 
 
 
 def _first_impact(impacts: Sequence[Impact], others: Sequence[str]) -> Impact | None:
-    """Return the first collision with one of `others`, else the first with any entity; None without a collision."""
+    """Return the first collision with one of `others`, else the first collision; None without a collision."""
     measured = [impact for impact in impacts if impact.entity in others]
     return next(iter(measured or impacts), None)

@@ -31,8 +31,8 @@ class ExpectedRuns:
     """Earlier runs of the scenarios of a suite, which the report page shows as the expected runs beside the new runs.
 
     `recordings` are encoded recordings of the earlier runs by negative scenario id, since positive ids belong to the
-    new runs. `runs` are the texts about each earlier run, by scenario id. `missing` says why there are no earlier runs;
-    it is empty if none are expected. `gaps` are sentences on what the suite did not test.
+    new runs. `runs` are the texts about each earlier run, by scenario id. If the earlier runs were not found, `missing`
+    is the reason, else it is empty. `gaps` are sentences on what the suite did not test.
     """
 
     recordings: Mapping[int, str] = field(default_factory=dict)
@@ -49,9 +49,10 @@ class ExpectedRuns:
 def read_expected_runs(study: StudyFile, against: Path | None = None) -> ExpectedRuns:
     """Read the earlier runs of the scenarios of a suite from `against`, or from the study that the suite was made from.
 
-    `study` is a run of the suite. Without `against`, the suite is searched beside `study` and in the current folder, up
-    to two folders below each, and recognized by its content. Only a suite made from a reduced study then has earlier
-    runs. InputError if `against` has no run of these scenarios.
+    `study` is a run of the suite. Without `against`, the manifest of the suite is looked for beside `study` and in the
+    current folder, up to two folders below each. The suite is recognized by its content, and its manifest names the
+    study. A suite that was not made from a study has no earlier runs. InputError if `against` has no run of these
+    scenarios.
     """
     meta = study.meta
     if not meta.suite:
@@ -120,7 +121,7 @@ def _manifests(study: StudyFile) -> Iterator[Path]:
 
 
 def _match_rows(study: StudyFile, earlier: StudyFile) -> dict[int, int]:
-    """Return, by id in `study`, the id of the same scenario in `earlier`; only for scenarios that ran in both."""
+    """Map the id of each scenario in `study` to the id of the same scenario in `earlier`, if it ran in both studies."""
     if earlier.meta.suite:
         by_file = {earlier.meta.files[row.id - 1]: row.id for row in earlier.finished_rows()}
         matched = {row.id: by_file.get(study.meta.files[row.id - 1]) for row in study.finished_rows()}

@@ -38,10 +38,10 @@ class _Cell:
 
 
 def write_index(folder: Path | str, path: Path | str) -> Path:
-    """Write an HTML page with a table of the studies in a folder, and one folder below.
+    """Write an HTML page with a table of the studies in a folder and in its direct subfolders.
 
-    Nothing is estimated: the critical share of the space is read from a report beside the study. For each file that is
-    damaged or no study, the page has a sentence.
+    The critical share of the space is not estimated again, but read from a report beside the study. For each file that
+    is damaged or no study, the page has a sentence.
     """
     folder, path = validation.check_path("folder", folder), validation.check_path("path", path)
     check_page_path(path, "index")

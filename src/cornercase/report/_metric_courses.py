@@ -18,7 +18,7 @@ _MAX_CODE: Final = 65534
 def encode_courses(courses: Sequence[FloatArray | None], time_spans: Sequence[tuple[float, float]]) -> dict[str, Any]:
     """Encode the resampled courses (values of one metric over time) of all scenarios as 16-bit integers.
 
-    A course may be None, if the scenario has none. `time_spans` are begin and end of each recording in s. The integer
+    None stands for a scenario without a course. `time_spans` are begin and end of each recording in s. The integer
     65535 stands for a missing value.
     """
     present = [course for course in courses if course is not None]

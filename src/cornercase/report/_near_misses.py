@@ -10,7 +10,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class ClosestApproach:
-    """Smallest gap in m between the boxes of the ego and another entity in a scenario, and its time in s."""
+    """Smallest gap in m between the bounding boxes of the ego and another entity, and the time in s of this gap."""
 
     entity: str
     gap: float
@@ -24,10 +24,10 @@ class ClosestApproach:
 def find_closest_approach(
     features: Sequence[Mapping[str, float]], others: Sequence[str], begin: float
 ) -> ClosestApproach | None:
-    """Find the closest approach of the ego to any of the other entities; None if the ego approached none.
+    """Find the closest approach of the ego to one of the other entities; None if the ego approached no entity.
 
-    `features` are the features of a recording, one mapping per other entity. An entity that is nearest at the first
-    instant (time `begin`, in s) does not count: the scenario placed the entity there.
+    `features` are the features of a recording, one mapping per other entity. An entity that is nearest at the start of
+    the scenario (time `begin`, in s) is left out, since this gap results from the start positions, not from driving.
     """
     approaches = [
         ClosestApproach(other, values["nearest"], values["nearest time"])
@@ -40,7 +40,7 @@ def find_closest_approach(
 def sort_near_misses(
     approaches: Mapping[int, ClosestApproach], colliding: Mapping[int, object]
 ) -> list[tuple[int, ClosestApproach]]:
-    """Return id and closest approach of all scenarios without a collision, the smallest gap first."""
+    """Return id and closest approach of each scenario that is not in `colliding`, the smallest gap first."""
     misses = [(scenario, approach) for scenario, approach in approaches.items() if scenario not in colliding]
     return sorted(misses, key=lambda item: (item[1].gap, item[0]))
 

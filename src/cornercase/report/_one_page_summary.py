@@ -151,7 +151,7 @@ def _describe_not_tested(data: ReportData) -> Iterator[str]:
 
 
 def _selected_table(data: ReportData) -> tuple[list[str], list[list[str]], str]:
-    """Return head and rows of the table of the reduced set, and a note on how many scenarios the table shows."""
+    """Return header and rows of a table of the reduced set, and a note on how many scenarios the table shows."""
     reduced, meta = data.summary.reduced_set, data.summary.meta
     if reduced is None:
         return [], [], "No scenarios were selected yet; cornercase reduce does it."

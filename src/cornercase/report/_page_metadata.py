@@ -1,4 +1,4 @@
-"""Digest of a report page: main results in the HTML head, so that an index page need not estimate them again."""
+"""Digest of a report page: main results in the HTML head, from which an index page reads them."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def format_page_metadata(data: ReportData) -> str:
 
 
 def study_identity(file_name: str, meta: StudyMeta, n_run: int, n_failed: int) -> dict[str, Any]:
-    """Return the facts by which a report page is recognized as the report of a study, by name."""
+    """Return named facts of a study; a report page with the same facts is the up-to-date report of the study."""
     return {
         "study": file_name,
         "fingerprint": meta.fingerprint,

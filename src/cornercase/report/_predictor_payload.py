@@ -24,8 +24,9 @@ _DISTRIBUTION_SAMPLES: Final = 129
 def predictor_payload(data: ReportData) -> dict[str, Any]:
     """Return the model that predicts scores on the report page, as JSON values.
 
-    The key ``predictor`` holds the model or None. ``predictor_missing`` explains a model that predicts too little; the
-    text is empty if there is no model at all: for a Pareto front, a suite, an estimate, or too few scenarios.
+    The key ``predictor`` holds the model or None. The model is left out if it predicts hardly anything; then
+    ``predictor_missing`` says so. There is also no model for a Pareto front, a suite, an estimate of a probability, or
+    too few scenarios; then ``predictor_missing`` is empty.
     """
     surrogate = data.summary.estimates.surrogate
     if surrogate is None or not data.summary.represents_space:
@@ -78,7 +79,7 @@ def _values_with_unit_positions(parameter: Parameter) -> list[list[float]] | Non
 
 
 def _constrained_parameters(space: ParameterSpace) -> list[int]:
-    """Return the indices of the parameters whose values the scenario limits by constraints."""
+    """Return the indices of the parameters whose values are limited by constraints in the scenario file."""
     names = {declaration.name for declaration in space.declarations if declaration.constraint_groups}
     return [k for k, parameter in enumerate(space.parameters) if not names.isdisjoint(parameter.assigned_names)]
 

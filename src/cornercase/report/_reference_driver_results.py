@@ -18,16 +18,17 @@ class ReferenceDriverResults:
     Attributes
     ----------
     n_prevented, n_colliding : int
-        Number of scenarios in which the reference driver avoids the collision, and in which it collides, too.
+        Number of scenarios in which the reference driver avoids the collision, and in which the reference driver
+        collides, too.
     n_not_applicable : int
         Number of scenarios for which the reference driver is not defined.
     n_colliding_later : int
-        Number of scenarios counted in `n_prevented` in which the reference driver has a collision that the regulation
-        does not count.
+        Number of scenarios in which the reference driver collides, but which `n_prevented` counts: the other vehicle
+        cut in with a time to collision above 2 s, in which UN Regulation No. 157 sees no danger.
 
     Examples
     --------
-    Of a study with the condition ``collision and not reference:cc-human``:
+    The results of a study with the condition ``collision and not reference:cc-human``:
 
     >>> import cornercase as cc
     >>> human = cc.summarize("study.db").references["cc-human"]  # doctest: +SKIP
@@ -47,7 +48,7 @@ class ReferenceDriverResults:
 
 
 def count_reference_driver_results(study: StudyFile) -> dict[str, ReferenceDriverResults]:
-    """Count results of each reference driver (model) named in the condition or requirements of an open study."""
+    """Count the results of each reference driver (model) that the condition or a requirement of the study names."""
     meta = study.meta
     with reraise_read_errors(study.path):
         condition = meta.condition
@@ -68,7 +69,10 @@ def count_reference_driver_results(study: StudyFile) -> dict[str, ReferenceDrive
 
 
 def describe_reference_drivers(references: Mapping[str, ReferenceDriverResults]) -> str:
-    """Describe the results of reference drivers, by name, as sentences; each sentence begins with a space."""
+    """Return sentences about results of reference drivers; each sentence begins with a space.
+
+    `references` maps names of reference drivers to results.
+    """
     sentences = []
     for name, count in references.items():
         avoided = count.n_prevented - count.n_colliding_later

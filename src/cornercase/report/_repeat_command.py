@@ -50,7 +50,10 @@ def format_repeat_command(meta: StudyMeta) -> str:
 
 
 def _arguments(meta: StudyMeta, *names: str) -> Iterator[str]:
-    """Yield the options `names` of a study as command line arguments; options without a stored value are left out."""
+    """Yield command line arguments for the options with these names, with the values that the study holds.
+
+    Options for which the study holds no value are left out.
+    """
     for name, texts in _format_options(meta).items():
         if name in names:
             flag = OPTIONS[name].flag
@@ -232,5 +235,5 @@ def _format_toml_string(value: str) -> str:
 
 
 def _keep_comment_on_one_line(line: str) -> str:
-    """Replace line breaks by spaces if the text is a TOML comment, since names in comments may contain line breaks."""
+    """Replace line breaks by spaces in a line of TOML that is a comment, since names may contain line breaks."""
     return " ".join(line.splitlines()) if line.startswith("#") else line

@@ -78,7 +78,7 @@ class ReportData:
 
     @property
     def collides(self) -> BoolArray:
-        """True for each row in which the ego collides with an entity it is measured against, shape (n,)."""
+        """Mask, shape (n,), of the scenarios in which the ego collides with an entity that the metrics consider."""
         others = self.summary.meta.others
         return np.array([not self.entities_hit[row.id].isdisjoint(others) for row in self.rows], dtype=np.bool_)
 
@@ -97,7 +97,7 @@ class ReportData:
         return sorted(self.hardest_impacts.items(), key=lambda item: (-np.nan_to_num(item[1].speed), item[0]))
 
     def metric_for_aspect(self, aspect: str) -> Metric:
-        """Return the metric named like an aspect (what scenarios are compared by), or else the first metric."""
+        """Return the metric with the same name as an aspect (what scenarios are compared by), else the first metric."""
         names = [metric.name for metric in self.metrics]
         return self.metrics[names.index(aspect) if aspect in names else 0]
 
@@ -231,8 +231,9 @@ def _read_examples(study: StudyFile, analyses: Mapping[str, Analysis]) -> dict[i
 def order_parameters_by_influence(values: FloatArray, scores: FloatArray) -> tuple[int, ...]:
     """Return the indices of the parameters, ordered by influence on the score, the most influential first.
 
-    The two most influential parameters come in the order of the columns of `values`. Influence is the fraction of the
-    variance of the score that ten quantile bins of the parameter explain. Shapes: `values` (n, d), `scores` (n,).
+    The first two, which charts use as axes, are an exception: they come in the order of their columns in `values`.
+    Influence is the fraction of the variance of the score that ten quantile bins of the parameter explain. Shapes:
+    `values` (n, d), `scores` (n,).
     """
     shares = []
     for column in values.T:

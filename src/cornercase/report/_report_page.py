@@ -82,21 +82,23 @@ def write_report(
     Parameters
     ----------
     study : Study, StudyFile or path
-        Sections for which data are missing are left out. If all scenarios failed, the page shows why, without figures.
-        If the study is open for writing, the time that the report took is stored in it.
+        Study whose results are shown. Sections for which the study lacks data are left out. If all scenarios failed,
+        the page shows why, without figures. If the study is open for writing, the time that the report took is stored
+        in the study.
     path : path
         Page to write; the name ends with ``.html`` or ``.htm``.
     figures : bool or path, default False
         Also write the figures as PNG and SVG, and ``captions.txt``, into this folder. True stands for a folder beside
         the page, with its name and ``-figures``.
     scenario : path or ScenarioFile, optional
-        Scenario file that was explored, to draw the road. By default it is searched beside the study and in the current
-        folder, and recognized by its fingerprint. If it is not found, no road is drawn, and the page says so.
+        Scenario file that was explored, to draw the road. By default the file is looked for beside the study and in the
+        current folder, and recognized by its fingerprint. If the file is not found, no road is drawn, and the page says
+        so.
     against : path, optional
-        Only if `study` is the run of a suite: the study that the suite was made from, or an earlier run of the suite.
-        The page shows its recordings beside the recordings of `study`, as the expected runs. By default it is the study
-        that the suite was made from. That study is searched beside the manifest of the suite and in the folder above.
-        The suite is searched beside `study` and in the current folder.
+        Only if `study` is the run of a suite: the study that the suite was made from (the default), or an earlier run
+        of the suite. The page shows the recordings of this study as the expected runs, beside the recordings of
+        `study`. By default, the suite is looked for beside `study` and in the current folder, then the study that the
+        suite was made from is looked for beside the manifest of the suite and in the folder above.
     critical : float, optional
         Threshold for this report only, in the unit of the objective; by default the threshold of the study.
     memory : str or float, default "4 GB"
@@ -223,7 +225,7 @@ def render_details(data: ReportData) -> Iterator[Section]:
 
 
 def render_live_page(title: str) -> str:
-    """Render the live page of a study as HTML without content, which the page loads from the live server."""
+    """Render the live page of a study as HTML without content; the page loads the content from the live server."""
     empty: dict[str, Any] = {"digest": "", "left_out": "", "about": "", "contents": None, "answers": [], "details": []}
     return _render(live=True, title=title, provenance=Markup(), recordings={}, **empty)
 

@@ -86,9 +86,9 @@ def _culprit(ego: str, impact: Impact) -> str | None:
 
 
 def score_source_column(meta: StudyMeta, others: Sequence[Sequence[str | None] | None]) -> dict[str, Any]:
-    """Return the column ``against``: the other entity that each score is measured against, as index in ``meta.others``.
+    """Return the column ``against``: for each score, the index in ``meta.others`` of the entity that it refers to.
 
-    `others` has the name of the entity for each scenario and metric; None stands for a failed scenario. The result is
+    `others` has the name of this entity for each scenario and metric; None stands for a failed scenario. The result is
     empty if the study has only one other entity.
     """
     if len(meta.others) == 1:

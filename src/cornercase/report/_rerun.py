@@ -33,10 +33,10 @@ def rerun_payload(
 ) -> dict[str, Any]:
     """Return the JSON values with which the page shows how a scenario is run again.
 
-    ``command`` holds the words before and after the parameters. If it is None, ``why`` explains it. ``file`` holds the
-    scenario file, cut at ``slots``: the positions of parameter values. If it is None, ``file_why`` explains it. Without
-    `include_file` the file is left out, because a server provides it. ``key`` identifies the study, so that the
-    browser can store notes of the user.
+    ``command`` holds the words of the command before and after the parameters, or None for the reason ``why``. ``file``
+    holds the pieces of the scenario file between its parameter values, and ``slots``, which say what belongs between
+    the pieces; or None for the reason ``file_why``. Without `include_file`, ``file`` is None, because a server provides
+    the scenario file. ``key`` identifies the study, so that the browser can store notes of the user.
     """
     meta = study.meta
     why = _reason_without_command(meta)
@@ -69,7 +69,7 @@ def rerun_payload(
 
 
 def _as_argument(file: str) -> str:
-    """Return a file name as a command line argument that is not read as an option."""
+    """Return a file name as a command line argument; ``./`` before a leading hyphen says that it is no option."""
     return f"./{file}" if file.startswith("-") else file
 
 

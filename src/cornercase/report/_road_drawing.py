@@ -35,9 +35,9 @@ def find_road_outline(
 ) -> tuple[RoadOutline | None, str]:
     """Return the outline of the road in `region`, or None and a sentence that explains why there is none.
 
-    The scenario file names the road; it is `scenario`, or by default the file beside the study. `values` are the
-    parameter values of a scenario, since a parameter may choose the road file. The sentence contains no paths.
-    InputError if `scenario` is not the file that was explored.
+    The road is the road that the scenario file names: the file `scenario`, by default the scenario file beside the
+    study. `values` are the parameter values of a scenario, since a parameter may choose the road file. The sentence
+    contains no paths. InputError if `scenario` is not the file that was explored.
     """
     if region is None:
         return None, ""
@@ -107,8 +107,8 @@ def add_road_margin(bounds: Region | None) -> Region | None:
 def encode_road_outline(sketch: RoadOutline) -> dict[str, Any]:
     """Encode the outline of a road as JSON values for the page.
 
-    ``origin`` is a point in m. ``areas`` and ``lines`` hold the kind of each shape and the steps between its points in
-    cm, as a flat list of x and y.
+    ``areas`` and ``lines`` hold, for each shape, its kind and a flat list of x and y in cm: the first point relative to
+    ``origin``, then each point relative to the previous one. ``origin`` is in m.
     """
     shapes = [*sketch.areas, *sketch.lines]
     origin = np.rint(shapes[0][1][0]) if shapes else np.zeros(2)

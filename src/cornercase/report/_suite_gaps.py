@@ -16,8 +16,8 @@ _MAX_KINDS: Final = 6
 def describe_suite_gaps(study: StudyFile, earlier: StudyFile, sources: Collection[int]) -> Iterator[str]:
     """Yield sentences about what `study`, the run of a suite, did not test.
 
-    `earlier` is the study that the suite was made from. `sources` are the ids in `earlier` of the scenarios that the
-    suite contains. Nothing is yielded if `earlier` is a run of the suite, too.
+    `earlier` is the study that the suite was made from. `sources` are the ids that the scenarios of the suite have in
+    `earlier`. Nothing is yielded if `earlier` is itself a run of the suite.
     """
     if earlier.meta.suite:
         return

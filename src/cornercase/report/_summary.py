@@ -51,14 +51,14 @@ class MetricSummary:
     parameters : mapping of str to float or str
         Parameters of the most critical scenario.
     repeat_spread : tuple of float, or None
-        If each scenario was run several times: median and maximum, over the scenarios, of the difference between the
-        highest and the lowest score of a scenario. Else None.
+        Only if each scenario was run several times, else None. For each scenario, the spread is its highest score minus
+        its lowest score; the two values are the median and the maximum of the spreads.
     constant_note : str
         A message if all scenarios have the same score; else empty.
     most_critical_other : str or None
-        If there are several other entities: the entity that the most critical score is measured against. Else None.
+        If the study has several other entities, the one that the most critical score refers to. Else None.
     scores_per_other : mapping of str to int
-        If there are several other entities: the number of scores that are measured against each of them. Else empty.
+        If the study has several other entities, the number of scores that refer to each of them. Else empty.
 
     Examples
     --------
@@ -110,7 +110,7 @@ class FailureSummary:
 class Summary:
     """Summary of the scenarios that were run in a study and their results.
 
-    `str` returns the text that ``cornercase show`` prints for the file of the study now.
+    `str` reads the study file again, and returns the text that ``cornercase show`` prints for it.
 
     Attributes
     ----------
@@ -121,12 +121,12 @@ class Summary:
     n_run, n_failed, n_pending : int
         Number of scenarios that were run, that failed, and that were not run yet.
     n_collisions : int
-        Number of scenarios in which the ego collides with an entity it is measured against.
+        Number of scenarios in which the ego collides with one of the entities that the metrics consider.
     faults : mapping of str to int
         Number of scenarios in which the ego collides, by who is at fault for its first collision: ``"ego"``,
         ``"other"``, ``"both"``, ``"undecided"``. Empty without collisions.
     unmeasured_collisions : mapping of str to int
-        Number of scenarios in which the ego collides with an entity it is not measured against, by entity.
+        Number of scenarios in which the ego collides with an entity that the metrics do not consider, by entity.
     metrics : mapping of str to MetricSummary
         Summary of the scores by metric; empty before a scenario was run.
     analyses : mapping of str to Analysis
@@ -143,7 +143,8 @@ class Summary:
         Result of `cornercase.exploration.estimate`, in the form of its ``to_json``; None if the study is not an
         estimate.
     references : mapping of str to ReferenceDriverResults
-        Results of the reference drivers (models of careful drivers) that the condition or a requirement names, by name.
+        Results by name of the reference driver (model of a careful driver), for all reference drivers that the
+        condition or a requirement names.
     failures : mapping of str to FailureSummary
         Failed scenarios by reason, the most frequent reason first; at most 20 reasons.
     bands : mapping of str to Bands

@@ -308,10 +308,7 @@ class _CollisionCase:
         return _Ruling((), conflict, f"{lateness}, and could not have avoided it either")
 
     def _has_just_moved_off(self, k: int) -> bool:
-        """Return whether a party has just started, and could have waited instead.
-
-        This is so if it stood in the last 5 s before the contact, outside the path of the other party.
-        """
+        """Return whether a party stood within the last 5 s, out of the path of the other, and could have waited."""
         party = self.parties[k]
         standing = party.time[np.abs(party.speed) < STANDING_SPEED]
         since = self.contact.time - float(standing[-1]) if len(standing) else np.inf

@@ -49,33 +49,34 @@ def select_scenarios(
 ) -> tuple[Selected, ...]:
     """Select scenarios that represent the clusters, then scenarios that are far from these.
 
-    The set begins with a critical scenario from each cluster that has any: its prototype, or the medoid of its critical
-    scenarios if the prototype is not critical. Critical clusters come first, then clusters with the most critical
-    scenarios. All other prototypes follow, first those of clusters without a critical scenario. Archetypes (extreme
-    scenarios) are next, up to a fifth of the set. They are divided among clusters in proportion to the root of the
-    cluster's size, with four times the weight for critical clusters.
+    First, each cluster with critical scenarios contributes one of them: its prototype (most central scenario), or the
+    medoid of its critical scenarios if the prototype is not critical. Critical clusters come first, then clusters with
+    the most critical scenarios. Second, all other prototypes follow, first those of clusters without a critical
+    scenario. Third, archetypes (extreme scenarios) fill up to a fifth of the set. Each cluster contributes archetypes
+    in proportion to the square root of its size; critical clusters have four times the weight.
 
-    All other scenarios are selected to minimise a sum over all scenarios and all clusterings. Its terms are cubed
-    distances to the nearest selected scenario, in units of the usual distance between neighbours in a set of this size.
-    The cube gives large gaps more weight than many small ones. Scenarios of critical clusters count four times, the
-    first clustering twice. Scenarios are added greedily (G. L. Nemhauser, L. A. Wolsey, M. L. Fisher, "An analysis of
-    approximations for maximizing submodular set functions", 1978). With more than `sampled_from` scenarios, only every
-    fourth is a candidate until a 32nd of all scenarios is selected. With up to 2,000 scenarios, each of these scenarios
-    is then exchanged for another one if that lowers the sum.
+    Last, scenarios are added that minimise a sum over all scenarios and all clusterings. The terms are cubed distances
+    to the nearest selected scenario, divided by the usual distance between neighbours in a set of this size. Due to the
+    cube, one large gap counts more than many small ones. Scenarios of critical clusters count four times, the first
+    clustering twice. Scenarios are added greedily (G. L. Nemhauser, L. A. Wolsey, M. L. Fisher, "An analysis of
+    approximations for maximizing submodular set functions", 1978). If there are more than `sampled_from` scenarios,
+    only every fourth is a candidate until a 32nd of all scenarios is selected. If there are at most 2,000 scenarios,
+    each scenario added in this step is then exchanged for another one if the exchange lowers the sum.
 
-    The set is compared with 100 random selections in each clustering, by the largest and the mean distance to the
-    nearest selected scenario. In the critical clusters it is compared with k-medoids of the first clustering. With up
-    to 2,000 scenarios, up to four sets of shares and weights are tried, if the set is not better than 95 of the random
-    selections, or is worse than k-medoids. The set with the smallest shortfall is returned.
+    If there are at most 2,000 scenarios, the set is also compared with two baselines by the largest and the mean
+    distance to the nearest selected scenario. In each clustering, it should be better than 95 of 100 random selections.
+    In the critical clusters of the first clustering, it should not be worse than k-medoids. If it fails, up to three
+    other combinations of the shares and weights above are tried. The set that falls least short is returned.
 
-    With `cover` instead of `size`, scenarios are added to the prototypes until all scenarios are within this share of
-    the largest distance, in each clustering. The scenario least similar to all selected ones is added each time
-    (farthest-first traversal: T. F. Gonzalez, "Clustering to minimize the maximum intercluster distance", 1985).
+    With `cover` instead of `size`, scenarios are added to the prototypes until every scenario is near a selected one:
+    at most `cover` times the largest distance away, in each clustering. Each time, the scenario least similar to all
+    selected ones is added (farthest-first traversal: T. F. Gonzalez, "Clustering to minimize the maximum intercluster
+    distance", 1985).
 
-    No scenario is selected that is similar to a selected one: at most 0.001 of the largest distance away in each
-    clustering. `points`, shape (n, d), are in the unit cube. `distances` belong to all clusterings,
-    `labels` to the first clustering. `shaped_clusters` defaults to `classify_cluster_shapes`. `max_in_memory` is that
-    of `CoverageSums`.
+    A scenario is never selected if it is similar to a selected one, which means at most 0.001 of the largest distance
+    away in each clustering. `points`, shape (n, d), are in the unit cube. `distances` belong to all clusterings,
+    `labels` to the first clustering. By default, `shaped_clusters` are computed by `classify_cluster_shapes`. For
+    `max_in_memory` see `CoverageSums`.
     """
     if (size is None) == (cover is None):
         raise InputError("`size`, `cover`: give exactly one of them.")
@@ -127,10 +128,10 @@ def _find_prototypes(
     critical_clusters: Sequence[int],
     is_critical: BoolArray | None,
 ) -> list[Selected]:
-    """Return the prototypes of clusters, those that represent critical scenarios first.
+    """Return the prototypes (most central scenarios) of clusters, those that represent critical scenarios first.
 
-    If the prototype of a cluster is not critical, its critical scenarios have a prototype of their own. Critical
-    scenarios that are noise have a prototype only if no cluster has a critical scenario.
+    If the prototype of a cluster is not critical, the medoid of the cluster's critical scenarios is a second prototype.
+    Critical scenarios that are noise have a prototype only if no cluster has a critical scenario.
     """
     prototypes = [Selected(find_prototype(distances, np.flatnonzero(labels == k)), k, "prototype") for k in clusters]
     if is_critical is None or not is_critical.any():
@@ -161,7 +162,7 @@ class _SelectionTask:
     max_in_memory: int
 
     def complete_selection(self, base: Selection, composition: SetComposition) -> Selection:
-        """Return a copy of the selection `base`, with archetypes and scenarios far from all selected ones added."""
+        """Copy the selection `base`, and add archetypes, then scenarios that are far from all selected ones."""
         selection = base.copy()
         labels = self.labels
         factors = [composition.critical_weight if label in self.critical_clusters else 1.0 for label in self.clusters]
@@ -181,7 +182,7 @@ class _SelectionTask:
         return selection
 
     def _add_uncovered(self, selection: Selection, composition: SetComposition) -> None:
-        """Add scenarios that minimise the coverage sum until the selection is complete."""
+        """Complete the selection with scenarios that minimise the coverage sum (see `CoverageSums`)."""
         n_fixed = len(selection.selected)
         n_first = min(self.size, int(_FIRST_SHARE * len(self.labels)))
         if len(self.labels) > self.sampled_from and n_fixed < n_first:
@@ -199,9 +200,9 @@ class _SelectionTask:
             ]
 
     def _add_from_sample(self, selection: Selection, composition: SetComposition, size: int) -> None:
-        """Add scenarios from an evenly spaced sample until `size` scenarios are selected.
+        """Add scenarios until `size` scenarios are selected; the candidates are every fourth of all scenarios.
 
-        The added scenarios minimise the coverage sum of the sample.
+        The added scenarios minimise the coverage sum (see `CoverageSums`) over the candidates.
         """
         rows = np.union1d(np.arange(0, len(self.labels), _SAMPLED_PART), selection.indices)
         sums = CoverageSums(

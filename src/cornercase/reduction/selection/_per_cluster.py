@@ -30,12 +30,13 @@ def select_per_cluster(
 ) -> tuple[Selected, ...]:
     """Select the prototype and at most `archetypes` archetypes of each cluster; noise is left out.
 
-    This is the selection of the paper that cornercase follows. Archetypes are extreme scenarios. ``"auto"`` selects
-    about a tenth of all scenarios, including prototypes: ``n // (10 * clusters) - 1`` archetypes per cluster. There are
-    at least d + 1 archetypes, since a hull of fewer is flat, and at most 15, as in the paper. For each cluster, the
-    prototype comes first, then the archetypes by index. No scenario is selected twice, since the hull excludes the
-    prototype. `points`, shape (n, d), are in the unit cube. `shaped_clusters` defaults to clusters whose archetypes are
-    corners of hulls.
+    This is the selection of the paper that cornercase follows. A prototype is the most central scenario of a cluster,
+    archetypes are extreme scenarios. ``"auto"`` selects about a tenth of all scenarios, including prototypes:
+    ``n // (10 * clusters) - 1`` archetypes per cluster. But it allows at least d + 1 archetypes per cluster, since
+    fewer points in d dimensions span a flat hull, and at most 15, as in the paper. For each cluster, the prototype
+    comes first, then the archetypes by index. No scenario is selected twice, since the prototype is not a candidate for
+    an archetype. `points`, shape (n, d), are in the unit cube. By default, archetypes are corners of the convex hull of
+    each cluster; `shaped_clusters` can name other methods.
     """
     points = np.asarray(points, dtype=np.float64)
     distances = distances if isinstance(distances, EmbeddedDistances) else np.asarray(distances, dtype=np.float64)

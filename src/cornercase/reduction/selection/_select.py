@@ -24,9 +24,9 @@ from cornercase.reduction.selection._per_cluster import select_per_cluster
 class SelectionRequest:
     """Requested size of a reduced set: exactly one of `size`, `cover` and `archetypes` is given.
 
-    `size` is the number of scenarios. `cover` is the largest distance to a selected scenario that may remain, as a
-    share of the largest distance. `archetypes` is the number per cluster, besides the prototype. `archetypes_by` is the
-    method that finds archetypes.
+    `size` is the number of scenarios. With `cover`, scenarios are selected until every scenario has a selected one
+    within this share of the largest distance of any two scenarios. `archetypes` is the number of archetypes (extreme
+    scenarios) per cluster, besides the prototype. `archetypes_by` is the method that finds archetypes.
     """
 
     size: int | None
@@ -53,7 +53,7 @@ class SelectionInput:
     kills: BoolArray | None = None
 
     def subset(self, rows: IntArray) -> SelectionInput:
-        """Return some of the scenarios; the clusters are still clusters of all scenarios."""
+        """Return the scenarios `rows`; they keep the cluster labels that were computed with all scenarios."""
         return SelectionInput(
             self.points[rows],
             [submatrix(matrix, rows, rows) for matrix in self.distances],
@@ -96,7 +96,7 @@ def select_reduced_set(
 
 
 def _put_critical_first(selection_input: SelectionInput, selected: Sequence[Selected]) -> tuple[Selected, ...]:
-    """Put critical prototypes and archetypes first, then the others; scenarios that fill gaps stay last, in order."""
+    """Sort scenarios: critical prototypes and archetypes first, then other prototypes and archetypes, then the rest."""
     is_critical = selection_input.is_critical
     if not is_critical.any():
         return tuple(selected)
@@ -104,7 +104,7 @@ def _put_critical_first(selection_input: SelectionInput, selected: Sequence[Sele
 
 
 def _put_killing_first(selection_input: SelectionInput, selected: Sequence[Selected]) -> tuple[Selected, ...]:
-    """Put scenarios that kill mutants of the driver first, in place of the last scenarios."""
+    """Put scenarios that kill mutants of the driver first, and drop as many scenarios at the end."""
     assert selection_input.kills is not None
     distances, labels = selection_input.distances, selection_input.labels
     selection = Selection(distances, len(selected))
@@ -118,7 +118,7 @@ def _put_killing_first(selection_input: SelectionInput, selected: Sequence[Selec
 def cross_validate(selection_input: SelectionInput, request: SelectionRequest) -> list[Fold]:
     """Cross-validate the selection: for each fold, select a set from the scenarios outside of the fold.
 
-    Clusters are not computed again for each fold, so held-out scenarios have influenced them.
+    The clusters of all scenarios are used for every fold, so held-out scenarios have influenced the clusters.
     """
     indices = np.arange(len(selection_input.labels))
     folds = []
