@@ -131,7 +131,7 @@ def test_a_lane_that_has_widths_takes_no_notice_of_borders(tmp_path):
 
 @pytest.mark.parametrize(
     ("number", "words"),
-    [("-1e7", "at most 200 lanes"), ("-1.5", "not a whole number"), ("1e300", "at most"), ("x", "not a finite")],
+    [("-1e7", "between -200 and 200"), ("-1.5", "not a whole number"), ("1e300", "between"), ("x", "not a finite")],
 )
 def test_a_lane_number_that_is_none_is_refused(tmp_path, number, words):
     with pytest.raises(InputError, match=words):

@@ -42,7 +42,7 @@ def written(folder, old, new):
         (WIDTH, WIDTH.replace('b="0"', 'b="1e6"'), "the lane 1 at s = 0 m reaches 5e[+]08 m out; at most 10000 m"),
         (WIDTH, WIDTH.replace('d="0"', 'd="1e308"'), "the lane 1 at s = 0 m reaches inf m out"),
         ("<laneSection", '<laneOffset s="0" a="1e9" b="0" c="0" d="0"/><laneSection', "<laneOffset> reaches 1e[+]09 m"),
-        ("</right>", f'<lane id="-1" type="driving">{WIDTH}</lane></right>', "line 5, road 1: a <laneSection> has two lanes -1; keep one"),
+        ("</right>", f'<lane id="-1" type="driving">{WIDTH}</lane></right>', "line 5, road 1: a <laneSection> has two lanes with the number -1; keep one"),
         ('lane id="1"', 'lane id="-1"', "line 3, road 1: the lane -1 is in <left>"),
         ('lane id="-1"', 'lane id="0"', "line 5, road 1: the lane 0 is in <right>"),
     ],

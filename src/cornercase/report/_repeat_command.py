@@ -235,5 +235,5 @@ def _format_toml_string(value: str) -> str:
 
 
 def _keep_comment_on_one_line(line: str) -> str:
-    """Replace line breaks by spaces in a line of TOML that is a comment, since names may contain line breaks."""
+    """Replace line breaks by spaces if the text is a TOML comment, since names in comments may contain line breaks."""
     return " ".join(line.splitlines()) if line.startswith("#") else line

@@ -22,10 +22,11 @@ NO_LANE: Final = -1
 class CrossSections:
     """The lanes at the P samples of a path, in L columns from left to right, as seen along the path.
 
-    `own` is the column of the lanes that the path follows; lane 0 has no column. Arrays (P, L): `left` and `right` are
-    the offsets of a lane's edges from the path in m, positive to the left, NaN where there is no lane; `lane_type` is
-    an index in `types`; `is_along` says whether traffic runs along the path; `speed_limit` is in m/s, NaN if unknown.
-    `signals` has the name, type and distance along the path in m of each signal that concerns traffic on the path.
+    The path follows the lanes in the column `own`. The center lane 0 has no column. Arrays of shape (P, L): `left` and
+    `right` are the offsets of a lane's edges from the path in m, positive to the left, NaN where there is no lane.
+    `lane_type` is an index in `types`. `is_along` is True if traffic on the lane drives in the direction of the path.
+    `speed_limit` is in m/s, NaN if unknown. `signals` has the name, type and distance along the path in m of each
+    signal that concerns traffic on the path.
     """
 
     path: LanePath
@@ -80,9 +81,10 @@ class CrossSections:
         )
 
     def edges_at(self, distance: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
-        """Return the last sample at or before each distance along the path, and the left and right edges of all lanes.
+        """Return the index of the last sample up to each distance along the path, and the edges of all lanes.
 
-        `distance` is in m, of any shape. The edges are offsets from the path in m; lanes are the last axis.
+        `distance` is in m, and can have any shape. The left and right edges of the lanes at this distance are offsets
+        from the path in m, in arrays whose last axis is the lane.
         """
         stations = self.path.distance
         k = np.clip(np.searchsorted(stations, distance, "right") - 1, 0, len(stations) - 2)
@@ -95,9 +97,10 @@ class CrossSections:
         return k + (share[..., 0] == 1.0), left, right
 
     def lane_column_at(self, distance: FloatArray, offset: FloatArray) -> IntArray:
-        """Return the column of the lane at points, `NO_LANE` if there is none; on a common edge, that of the left lane.
+        """Return the column of the lane that contains each point; `NO_LANE` for a point on no lane.
 
-        Points are given by the distance along the path in m, and the offset to the left of the path in m.
+        A point on the common edge of two lanes belongs to the left lane. Points are given by `distance` along the path
+        and `offset` from the path, positive to the left; both are in m.
         """
         _, left, right = self.edges_at(distance)
         holds = (right <= offset[..., None]) & (offset[..., None] <= left) & (right < left)
@@ -105,9 +108,10 @@ class CrossSections:
 
 
 def _iter_stretches(network: RoadNetwork, path: LanePath) -> Iterator[tuple[slice, Road, int, dict[int, int]]]:
-    """Yield each stretch of a path in one lane section: its samples, road, section, and the positions of all lanes.
+    """Yield each stretch of a path on one lane: slice of the samples, road, lane section, and positions of lanes.
 
-    Positions map each lane number of the section to the number of lanes by which it is left of the path.
+    A position says how many lanes a lane of the section is to the left of the path's lane, negative to the right. The
+    positions are given by lane number.
     """
     section = np.zeros(len(path.road), dtype=np.int64)
     for r in np.unique(path.road):

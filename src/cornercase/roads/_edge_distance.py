@@ -67,7 +67,10 @@ def road_margins(network: RoadNetwork, x: FloatArray, y: FloatArray, corners: Fl
 
 
 def _iter_roads_near(network: RoadNetwork, x: FloatArray, y: FloatArray) -> Iterator[tuple[Road, IntArray]]:
-    """Yield roads, and the indices of the points whose nearest road is the road or another road of its junction."""
+    """Yield each road near some points, with the indices of these points.
+
+    A road is near a point if it is the nearest road, or belongs to the same junction as the nearest road.
+    """
     present = np.flatnonzero(np.isfinite(x + y))
     if not present.size:
         return
@@ -84,9 +87,10 @@ def _iter_roads_near(network: RoadNetwork, x: FloatArray, y: FloatArray) -> Iter
 
 
 def _iter_strips(road: Road, section: IntArray, merge: bool) -> Iterator[tuple[tuple[int, ...], IntArray]]:
-    """Yield each strip of drivable lanes (as lane numbers) in the sections at points, and the indices of these points.
+    """Yield each strip of drivable lanes, as lane numbers, with the indices of the points in the same lane section.
 
-    A strip is a single lane or, with `merge`, all drivable lanes that are neighbours.
+    `section` is the lane section of each point. A strip is a single lane or, with `merge`, a group of adjacent drivable
+    lanes.
     """
     for k in sorted(set(section.tolist())):
         lanes = road.sections[k][1]

@@ -66,8 +66,9 @@ LaneSection = tuple[float, "dict[int, Lane]"]
 class Lane:
     """A lane of one lane section.
 
-    `borders` are used only if there are no `widths`, as in the standard. If `is_reversed` is set, traffic runs against
-    the usual direction of this side of the road. A lane with several predecessors or successors merges or splits.
+    As the OpenDRIVE standard demands, `borders` are used only if there are no `widths`. If `is_reversed` is True,
+    traffic on the lane drives against the usual direction of this side of the road. A lane with several predecessors or
+    successors merges or splits.
     """
 
     lane_type: str
@@ -97,7 +98,8 @@ def read_lane_sections(
     """Read the lane sections of a road, sorted by start.
 
     Each section has the lanes of both sides, even if the file starts a new section on one side only. Sections also
-    start at the positions `forced_starts` in m. `location` names file and road, for messages.
+    start at the positions `forced_starts` in m, at which other roads start or end. `location` names file and road, for
+    messages.
     """
     sides: dict[str, list[_SideSection]] = {"left": [], "right": []}
     begins = [read_finite_number(element, "s", location, 0.0) for element in elements]
@@ -152,7 +154,8 @@ def _side_lanes_at(
 ) -> dict[int, Lane]:
     """Return the lanes of one side in the section that begins at ``starts[index]``.
 
-    If the file has no section boundary there on this side, each lane is linked to itself across the boundary.
+    Where a section begins or ends although the file starts no new section on this side, each lane is linked to the lane
+    of the same number beyond.
     """
     section_index = bisect_right(side_starts, starts[index]) - 1
     if section_index < 0:
@@ -187,7 +190,7 @@ def _read_lanes(section: etree._Element, side: str, location: str) -> dict[int, 
         number = read_lane_number(element, location)
         if number in lanes:
             location = replace_line_number(location, element)
-            raise InputError(f"{location}: a <laneSection> has two lanes {number}; keep one of them.")
+            raise InputError(f"{location}: a <laneSection> has two lanes with the number {number}; keep one of them.")
         if number == 0 or (number > 0) != (side == "left"):
             location = replace_line_number(location, element)
             rule = "the lane 0 belongs in <center>" if number == 0 else (
@@ -239,7 +242,7 @@ def _read_lane_type(lane: etree._Element) -> str:
 
 
 def _read_linked_lanes(lane: etree._Element, path: str, location: str) -> tuple[int, ...]:
-    """Return the numbers of the lanes that a lane is linked to, in the permanent layer only."""
+    """Return the numbers of the lanes that a lane is linked to; links that hold only during roadworks are ignored."""
     links = [(read_lane_number(link, location), is_in_permanent_layer(link)) for link in lane.iterfind(path)]
     return tuple(number for number, permanent in links if permanent)
 
@@ -247,7 +250,8 @@ def _read_linked_lanes(lane: etree._Element, path: str, location: str) -> tuple[
 def is_in_permanent_layer(element: etree._Element, *layer_attributes: str) -> bool:
     """Return whether an element belongs to the permanent layer (lanes outside of roadworks).
 
-    `layer_attributes` are the attributes that name layers, by default ``layer``. Without them, the layer is permanent.
+    `layer_attributes` are the attributes that name the layers of the element, by default ``layer``. A missing attribute
+    means the permanent layer.
     """
     return all(element.get(name, PERMANENT_LAYER) == PERMANENT_LAYER for name in layer_attributes or ("layer",))
 
@@ -263,8 +267,8 @@ def read_lane_number(element: etree._Element, location: str, attribute: str = "i
     if abs(number) > _MAX_LANE_NUMBER:
         raise InputError(
             f"{replace_line_number(location, element)}: {attribute} of <{element.tag}> is"
-            f" '{element.get(attribute)}'; at most {_MAX_LANE_NUMBER}"
-            " lanes are read on each side of a road."
+            f" '{element.get(attribute)}'; the number of a lane must be between"
+            f" -{_MAX_LANE_NUMBER} and {_MAX_LANE_NUMBER}."
         )
     if not (text := element.get(attribute, "").strip()).lstrip("+-").isdigit():
         what = f"{attribute} of <{element.tag}>"

@@ -36,7 +36,7 @@ class LaneDistanceIndex:
     def distances(self, x: FloatArray, y: FloatArray) -> FloatArray:
         """Return the distance of each point from the nearest lane in m, shape (N,).
 
-        The distance is returned as 0 for points closer than `NEAR_DISTANCE`, and for NaN.
+        Distances below `NEAR_DISTANCE` are returned as 0, and points with a coordinate NaN have the distance 0, too.
         """
         result = np.zeros(len(x))
         finite = np.flatnonzero(np.isfinite(x + y))

@@ -39,8 +39,8 @@ class DirectedLane(NamedTuple):
 class LaneWalk(NamedTuple):
     """A sequence of directed lanes.
 
-    `goals_passed` has the number of goals (roads on the route) passed at the end of each lane. `is_dead_end` says
-    whether no lane follows the last lane.
+    `stretches` are the lanes in the order of travel. `goals_passed` has, for each of these lanes, the number of goals
+    (roads on the route) reached so far. `is_dead_end` is True if no lane follows the last lane.
     """
 
     stretches: list[DirectedLane]
@@ -105,7 +105,10 @@ class LaneGraph:
         return self._roads[lane.road].section_interval(lane.section)
 
     def lane_center_path(self, lane: DirectedLane, goals_passed: int = 0) -> LanePath:
-        """Return the center line of a lane in the direction of travel; `goals_passed` is stored in the path."""
+        """Return the center line of a lane in the direction of travel.
+
+        `goals_passed`, the number of goals reached so far on the route, is only copied to the path.
+        """
         road = self._roads[lane.road]
         start, end = self.s_interval(lane)
         s = np.linspace(start, end, max(2, int(np.ceil((end - start) / SAMPLE_DISTANCE)) + 1))
@@ -147,24 +150,27 @@ class LaneGraph:
 
     @cached_property
     def links_with_small_gap(self) -> dict[tuple[int, int], float]:
-        """Linked roads with a small gap between lane ends: the largest gap in m by pair of road indices.
+        """Largest gap in m between lane ends of two linked roads, by pair of road indices, if this gap is small.
 
-        `find_exits` fills this mapping.
+        `find_exits` adds each pair that it finds.
         """
         return {}
 
     @cached_property
     def unconnected_links(self) -> dict[tuple[int, int], float]:
-        """Linked roads that do not meet: the largest gap in m by pair of road indices; filled by `find_exits`."""
+        """Largest gap in m between lane ends of two linked roads, by pair of road indices, if the roads do not meet.
+
+        `find_exits` adds each pair that it finds.
+        """
         return {}
 
     def _connects_road_ends(self, lane: DirectedLane, option: DirectedLane) -> bool:
-        """Return whether a transition between lanes leads from an end of one road to an end of another road."""
+        """Return whether `lane` ends at an end of its road, and `option` starts at an end of another road."""
         ends = [(self._end_s(lane), self._roads[lane.road]), (self._start_s(option), self._roads[option.road])]
         return lane.road != option.road and all(s in (0.0, road.length) for s, road in ends)
 
     def _linked_lanes(self, lane: DirectedLane) -> list[DirectedLane]:
-        """Return the directed lanes that are linked to the end of a directed lane, even if they do not meet it."""
+        """Return the directed lanes that the file links to the end of a directed lane, even across a gap."""
         road = self._roads[lane.road]
         section_lane = road.sections[lane.section][1].get(lane.lane)
         linked = (
@@ -203,7 +209,10 @@ class LaneGraph:
         return list(dict.fromkeys(options))
 
     def _connecting_lanes(self, road_id: str, contact_point: str, lane: int) -> list[DirectedLane]:
-        """Return the lanes of a connecting road that are linked to a lane at one end of the connecting road."""
+        """Return the lanes of a connecting road that are linked to the lane `lane` of an adjacent road.
+
+        The adjacent road is at the `contact_point`, the start or end of the connecting road.
+        """
         road = self._roads[self._road_indices[road_id]]
         lanes = road.sections[0 if contact_point == "start" else -1][1]
         return [
@@ -233,7 +242,10 @@ class LaneGraph:
         return [DirectedLane(road, section, lane, onward) for lane in lanes if lane in sections[section][1]]
 
     def _gap_beyond_widths(self, lane: DirectedLane, option: DirectedLane) -> float:
-        """Return by how many m the distance between two lane ends exceeds what their widths allow."""
+        """Return by how many m two lane ends are too far from each other to be connected; 0 if they are connected.
+
+        Wide lanes may be farther from each other than narrow lanes.
+        """
         if lane.road == option.road and lane.forward == option.forward:
             return 0.0
         distance, wide = self._end_distance_and_width(lane, option)

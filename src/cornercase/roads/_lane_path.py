@@ -30,16 +30,18 @@ KINK_ANGLE: Final = 0.1
 class LanePath:
     """A path along lanes, sampled at equal distances: arrays of shape (P,) in m, rad and 1/m.
 
-    `s`, `road`, `lane` and `forward` (along the road's s) are the road coordinates of the samples. `goals_passed` is
-    the number of goals of the route that were passed. `reference_distance` is the distance along the reference lines,
-    and `center_offset` is the offset from the reference lines to the left. `reference_curvature` (K,) is the curvature
-    of the reference lines, positive to the left, at the distances `curvature_distance` (K,). The curvature is piecewise
-    linear, and jumps if a distance is repeated.
+    `distance` is measured along the path. `road`, `lane` and `s` are the road coordinates of the samples, and `forward`
+    is True where the path runs along the road's s. `goals_passed` is the number of goals (roads on the route) reached
+    so far. `reference_distance` is measured along the reference lines of the roads, and `center_offset` is the offset
+    of the path from these lines, positive to the left. `reference_curvature` is the curvature of the reference lines,
+    positive to the left, at the distances `curvature_distance` along these lines; both have shape (K,). Between these
+    distances the curvature is linear; it jumps where a distance is repeated.
 
-    The path contains the lane that was requested: `lane_s` has its start and end as s, `lane_span` as distances along
-    the path, and `lane_reference_distance` its start along the reference lines. If `has_start` or `has_end` is False,
-    the lanes go on where the path begins or ends. At `jumps`, distances along the reference lines, the path jumps
-    sideways.
+    The path contains a requested lane, and may go on before and after this lane. `lane_s` has the s coordinates of the
+    start and the end of the requested lane, and `lane_span` the distances of both along the path.
+    `lane_reference_distance` is the distance of its start along the reference lines. `has_start` and `has_end` are
+    False if lanes go on before the start or after the end of the path. `jumps` are distances along the reference lines
+    at which the path jumps sideways.
     """
 
     distance: FloatArray
@@ -65,12 +67,12 @@ class LanePath:
 
     @cached_property
     def cache(self) -> dict[str, Any]:
-        """Values derived from the path."""
+        """Values that other modules computed from the path, stored so that they are computed only once."""
         return {}
 
     @cached_property
     def arrays(self) -> tuple[npt.NDArray[Any], ...]:
-        """The arrays of the path for kernels, shape (P,) or (K,), in the order of the attributes."""
+        """The arrays of the path for compiled functions, shape (P,) or (K,), in the order of the attributes."""
         names = [field.name for field in fields(self) if field.default is MISSING]
         return tuple(np.ascontiguousarray(getattr(self, name)) for name in names)
 
@@ -102,9 +104,11 @@ class LanePath:
         *,
         max_samples: int = _MAX_SAMPLES,
     ) -> LanePath:
-        """Create a path through Q points that are close together; arrays as in the attributes, shape (Q,).
+        """Create a path through Q points that are close together.
 
-        `is_after_jump` marks the first point after each sideways jump. A jump does not count as distance.
+        The arguments have the meaning of the attributes, but with one value for each point, shape (Q,). Only
+        `curvature_distance` and `reference_curvature` have the shape (K,). `is_after_jump` is True at the first point
+        after each sideways jump. The length of a jump does not count as distance along the path.
         """
         keep = np.concatenate([[True], np.hypot(np.diff(x), np.diff(y)) > 1e-6])
         is_after_jump = np.zeros(len(x), dtype=np.bool_) if is_after_jump is None else is_after_jump
@@ -147,8 +151,8 @@ class LanePath:
     def with_jump_headings(self, jumps: Sequence[float], heading: FloatArray) -> LanePath:
         """Return the path with corrected headings near sideways jumps.
 
-        Samples near a jump have the direction of the jump; `heading`, shape (P,), has the headings of the lanes, which
-        replace it there. `jumps` are distances along the reference lines in m.
+        Near a jump, the computed heading is the direction of the jump. It is replaced by the heading of the lane, given
+        for each sample in `heading`, shape (P,). `jumps` are distances along the reference lines in m.
         """
         if not jumps:
             return self
@@ -172,7 +176,10 @@ class LanePath:
         return np.clip(np.interp(target, self.reference_distance, self.distance), *self.lane_span)
 
     def advance_along_reference(self, distance: FloatArray, reference_step: FloatArray) -> FloatArray:
-        """Return the distances along the path after steps along the reference lines, in m, shape (N,)."""
+        """Return where points on the path are after steps along the reference lines: distances along the path, (N,).
+
+        `distance` has the distances before the steps. All values are in m.
+        """
         along = np.interp(distance, self.distance, self.reference_distance)
         return np.interp(along + reference_step, self.reference_distance, self.distance)
 
@@ -209,7 +216,7 @@ def _heading_and_curvature(x: FloatArray, y: FloatArray, distance: FloatArray) -
 
 
 def _arc_offset_from_chord(curvature: FloatArray, fraction: FloatArray, chord_length: FloatArray | float) -> FloatArray:
-    """Return the distance in m between an arc and its chord, positive to the right of the chord; 0 at corners."""
+    """Return how far an arc is to the right of its chord in m, at a `fraction` of the chord; 0 at sharp corners."""
     return np.where(
         np.abs(curvature) * chord_length < KINK_ANGLE,
         0.5 * curvature * fraction * (1.0 - fraction) * chord_length**2,
@@ -218,7 +225,7 @@ def _arc_offset_from_chord(curvature: FloatArray, fraction: FloatArray, chord_le
 
 
 def join_paths(pieces: Sequence[LanePath], requested: int = 0) -> LanePath:
-    """Join consecutive paths to one path; `requested` is the index of the piece that is the requested lane."""
+    """Join consecutive paths to one path; `requested` is the index of the piece along the requested lane."""
     offsets = np.cumsum([0.0, *(piece.reference_distance[-1] for piece in pieces[:-1])])
     requested_piece = pieces[requested]
     pieces = [

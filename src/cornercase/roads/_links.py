@@ -90,7 +90,10 @@ def _record_missing_lanes(roads: Mapping[str, Road], elements: Mapping[str, etre
 
 
 def _links_to_missing_lanes(road: Road, roads: Mapping[str, Road]) -> Iterator[tuple[float, str, str, str]]:
-    """Yield each link to a lane that does not exist: start of the section, lane, end of the lane, linked lane."""
+    """Yield each link to a lane that does not exist: start of the lane section, lane, kind of link, and missing lane.
+
+    The kind of link is ``"predecessor"`` or ``"successor"``.
+    """
     last_index = len(road.sections) - 1
     for k, (start, lanes) in enumerate(road.sections):
         ahead = road.sections[k + 1][1] if k < last_index else _lanes_of_linked_end(road.successor, roads)
@@ -107,7 +110,10 @@ def _links_to_missing_lanes(road: Road, roads: Mapping[str, Road]) -> Iterator[t
 
 
 def _lanes_of_linked_end(link: RoadLink | None, roads: Mapping[str, Road]) -> Mapping[int, object] | None:
-    """Return the lanes at the linked end of a road; None if it is linked to a junction or the middle of a road."""
+    """Return the lanes at the road end that a link leads to; None if there is no link, or it leads to no road end.
+
+    A link may also lead to a junction, or to a position along a road.
+    """
     if link is None or link.target_type != "road" or link.s is not None:
         return None
     return roads[link.target_id].sections[-1 if link.contact_point == "end" else 0][1]

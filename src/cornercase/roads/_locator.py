@@ -68,7 +68,8 @@ class RoadLocator:
     def locate(self, x: FloatArray, y: FloatArray) -> LaneCoordinates:
         """Return the positions of points on the roads; x and y in m, shape (N,).
 
-        A lane that contains a point is preferred to lanes nearby. Among these, drivable lanes are preferred.
+        A lane that contains the point is preferred to other lanes nearby. If several lanes contain the point, drivable
+        lanes are preferred.
         """
         if not (len(x) and (x == x[0]).all() and (y == y[0]).all()):
             return self._locate_uncached(x, y)
@@ -106,7 +107,7 @@ class RoadLocator:
     def track_road(
         self, last_road: IntArray, last_s: FloatArray, x: FloatArray, y: FloatArray, heading: FloatArray
     ) -> tuple[IntArray, FloatArray]:
-        """Track the road of moving points; see `RoadNetwork.track_road`."""
+        """Return road and s of moving points, given their previous road and s; see `RoadNetwork.track_road`."""
         road, s = last_road.copy(), last_s.copy()
         lost = ~self._is_on_road(last_road, x, y, s, 1, OFF_ROAD_TOLERANCE)
         if lost.any():
@@ -138,7 +139,10 @@ class RoadLocator:
     def _is_on_road(
         self, road: IntArray, x: FloatArray, y: FloatArray, s: FloatArray, n_projections: int, tolerance: float
     ) -> BoolArray:
-        """Return whether points are on the given roads; `s` has first guesses and is updated in place."""
+        """Return whether each point is on its `road`, or at most `tolerance` in m beside the road.
+
+        `s` has estimates of the s coordinates, which are improved in place for points on the road.
+        """
         inside = np.zeros(len(x), dtype=np.bool_)
         for r in np.unique(road[(road >= 0) & np.isfinite(x)]):
             rows = np.flatnonzero((road == r) & np.isfinite(x))
@@ -203,7 +207,7 @@ class RoadLocator:
 
 @kernel(interpreted_seconds=lambda points, samples, candidates: 3e-6 * candidates.size, error_model="numpy")
 def _distances_to_samples(points, samples, candidates):
-    """Return the distances in m from points to their candidate samples."""
+    """Return the distances in m from each point to its candidates (the samples of lanes nearest to the point)."""
     gap = np.empty(candidates.shape)
     for i in range(candidates.shape[0]):
         for k in range(candidates.shape[1]):
@@ -214,7 +218,10 @@ def _distances_to_samples(points, samples, candidates):
 
 @kernel(interpreted_seconds=lambda distances, *_: 2e-6 * distances.size, error_model="numpy")
 def _choose_candidate(distances, candidates, half_width, is_undrivable):
-    """Return, for each point, the candidate sample on the lane that the point belongs to; the first one if tied."""
+    """Return, for each point, which of its candidate samples lies on the lane that the point belongs to.
+
+    If several candidates are equally good, the first one is returned.
+    """
     best = np.zeros(candidates.shape[0], dtype=np.int64)
     for i in range(candidates.shape[0]):
         lowest = math.inf
@@ -229,7 +236,7 @@ def _choose_candidate(distances, candidates, half_width, is_undrivable):
 
 
 def _distances_to_lanes(points: FloatArray, samples: _LaneSamples, candidates: IntArray) -> FloatArray:
-    """Return the distances in m from points to the lanes of their candidate samples, if samples are widely spaced."""
+    """Return the distances in m from points to the lanes of their candidate samples; for widely spaced samples."""
     dx, dy = (points[:, None, axis] - samples.points[candidates, axis] for axis in (0, 1))
     cos, sin = np.cos(samples.heading[candidates]), np.sin(samples.heading[candidates])
     beyond = np.maximum(np.abs(dx * cos + dy * sin) - samples.spacing, 0.0)

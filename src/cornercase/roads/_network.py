@@ -210,23 +210,23 @@ class RoadNetwork:
     ) -> FloatArray:
         """Return the distances along roads from positions to goals, in m, shape (N,); lanes are ignored.
 
-        `forward` says whether driving ahead means driving along s. The distance is negative if the shorter route leads
-        back, and infinite if the roads are not connected.
+        `forward` is True if an entity that drives ahead drives along s. The distance is negative if the shortest route
+        leads backwards, and infinite if the roads are not connected.
         """
         return self._lane_graph.road_graph.driving_distance(road, s, forward, goal_road, goal_s)
 
     def unconnected_links(self) -> list[tuple[str, str, float]]:
-        """Return pairs of linked roads that do not meet, and the distance of their lanes in m.
+        """Return pairs of linked roads that do not meet, and the distance between their lane ends in m.
 
-        Only links that paths have reached so far are checked.
+        Only links at the lanes that paths have followed so far are checked.
         """
         pairs = sorted((*pair, distance) for pair, distance in self._lane_graph.unconnected_links.items())
         return [(self.roads[a].road_id, self.roads[b].road_id, distance) for a, b, distance in pairs]
 
     def links_with_small_gap(self) -> list[tuple[str, str, float]]:
-        """Return pairs of linked roads that are more than 0.5 m apart, and the distance of their lane ends in m.
+        """Return pairs of connected roads with a gap of more than 0.5 m, and the distance between their lane ends in m.
 
-        Only links that paths have reached so far are checked.
+        Only links at the lanes that paths have followed so far are checked.
         """
         pairs = sorted((*pair, distance) for pair, distance in self._lane_graph.links_with_small_gap.items())
         return [(self.roads[a].road_id, self.roads[b].road_id, distance) for a, b, distance in pairs]
@@ -234,7 +234,8 @@ class RoadNetwork:
     def locate(self, x: FloatArray, y: FloatArray) -> LaneCoordinates:
         """Return the positions of points on the roads; x and y in m, shape (N,).
 
-        A lane that contains a point is preferred to lanes nearby. Among these, drivable lanes are preferred.
+        A lane that contains the point is preferred to other lanes nearby. If several lanes contain the point, drivable
+        lanes are preferred.
         """
         return self._locator.locate(x, y)
 
@@ -244,13 +245,14 @@ class RoadNetwork:
         """Return road and s of moving points, shape (N,) each, given their previous road and s.
 
         `last_road` is -1 if the previous road is unknown. Where roads overlap, as in a junction, a point stays on its
-        road as long as possible. Then it changes to the road whose direction is most similar to its heading.
+        previous road as long as possible. A point that leaves this road changes to the nearest road or, in a junction,
+        to the road that is most nearly parallel to the point's heading.
         """
         return self._locator.track_road(last_road, last_s, x, y, heading)
 
     @cached_property
     def road_tables(self) -> RoadTables:
-        """The roads as arrays for kernels."""
+        """The roads as arrays for compiled functions."""
         # Imported here, so that the compiler is loaded only if needed.
         from cornercase.roads._kernels.heading import build_road_tables
 
@@ -309,7 +311,7 @@ class RoadNetwork:
         return self._paths[key]
 
     def find_linked_lanes(self, road: int, section: int, lane: int, *, forward: bool) -> list[tuple[int, int, int]]:
-        """Return the lanes (road, section, lane) that continue a lane along s or, without `forward`, against s."""
+        """Return the lanes (road, section, lane) that continue a lane: along s if `forward` is True, else against s."""
         exits = self._lane_graph.find_exits(DirectedLane(road, section, lane, forward))
         return [(after.road, after.section, after.lane) for after in exits]
 

@@ -47,9 +47,9 @@ _NO_CELL: Final = "–"
 
 @dataclass(frozen=True)
 class CardSource:
-    """Scenario of a test card, with its run in the study and its rounded run.
+    """Scenario of a test card, with its run in the study and its run with rounded parameter values.
 
-    `role` and `why` say why the reduced set keeps the scenario; both are empty if it does not.
+    `role` and `why` say why the scenario belongs to the reduced set; both are empty for any other scenario.
     """
 
     scenario_id: int
@@ -60,7 +60,7 @@ class CardSource:
 
     @property
     def run(self) -> CardRun:
-        """The run whose positions and drawings the card shows: the rounded run, or the study's run if there is none."""
+        """The run that the card shows: the run with rounded parameter values if there is one, else the study's run."""
         return self.rounded.run or self.original
 
 
@@ -136,7 +136,7 @@ def describe_entity_under_test(study: StudyFile) -> str:
 
 
 def _rank_entities(study: StudyFile, source: CardSource) -> dict[str, int]:
-    """Return ranks of entities by importance, 0 for the ego, then entities that it meets or touches, and the others."""
+    """Return the rank of each entity: 0 for the ego, then entities that the ego meets or touches, then the others."""
     touched = [
         name
         for run in (source.run, source.original)
@@ -148,7 +148,7 @@ def _rank_entities(study: StudyFile, source: CardSource) -> dict[str, int]:
 
 
 def _describe_rounded_outcome(source: CardSource) -> dict[str, str]:
-    """Return a text on whether the rounded scenario ends as in the study, and its kind, which sets the style."""
+    """Return a text on whether the rounded scenario ends as in the study, and the kind of result, for the style."""
     rounded = source.rounded
     if rounded.run is None:
         text = f"The rounded scenario was not run again: {_clean_reason(rounded.reason, 200)}."
@@ -302,7 +302,7 @@ def _format_road_position(pose: StartPose) -> str:
 
 
 def _format_fixed(value: float, digits: int) -> str:
-    """Format a number with the minus sign ``−`` if negative, and without a sign if rounded to 0."""
+    """Format a number; negative numbers get the minus sign ``−``, and numbers that round to 0 get no sign."""
     text = f"{value:.{digits}f}"
     return (text.lstrip("-") if float(text) == 0.0 else text).replace("-", "−")
 
@@ -364,7 +364,10 @@ def _format_run_results(study: StudyFile, run: CardRun) -> dict[str, str]:
 
 
 def _list_pass_conditions(study: StudyFile) -> list[str]:
-    """Return the conditions for a run to pass: the requirements of a suite, or else no contact and not critical."""
+    """Return the conditions for a run to pass: the requirements of a suite.
+
+    Without requirements, a run passes if it has no contact and is not critical.
+    """
     meta = study.meta
     if meta.requirements:
         texts = [

@@ -25,7 +25,10 @@ _STATES: Final = {
 
 
 def describe_trigger(trigger: etree._Element | None, scope: Scope) -> str:
-    """Describe a start trigger: "and" joins the conditions of a group, "or" joins groups; empty without conditions."""
+    """Describe a start trigger; the text is empty if the trigger has no conditions.
+
+    As in OpenSCENARIO, "and" joins the conditions within a condition group, and "or" joins the groups.
+    """
     if trigger is None:
         return ""
     groups = [

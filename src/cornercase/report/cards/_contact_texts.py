@@ -1,4 +1,4 @@
-"""Texts of a test card on the contacts of the ego, measured by the study or not."""
+"""Texts of a test card on all contacts of the ego, including contacts that no metric of the study measures."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def escape_and_shorten(text: str, length: int = _MAX_NAME) -> str:
 
 
 def join_names(names: Sequence[str], conjunction: str = "and") -> str:
-    """Join quoted names for a sentence: ``"A, B and C"``; of more than five names, the rest is only counted."""
+    """Join names for a sentence: ``"A, B and C"``; after five names, only the number of further names follows."""
     texts = [quote_name(escape_and_shorten(name)) for name in names[:_MAX_NAMES]]
     if len(names) > _MAX_NAMES:
         texts.append(f"{len(names) - _MAX_NAMES} more")
@@ -42,7 +42,7 @@ def describe_contacts(meeting: Meeting) -> str:
 
 
 def list_contact_rows_by_run(meetings: Sequence[Meeting | None]) -> list[dict[str, str]]:
-    """Return, for each run, the texts about its contacts by the name of the table row; empty for a run that is None."""
+    """Return, for each run, texts about the contacts of the run by name of the table row; a None run has no texts."""
     # If one run has a row, all runs have it; the text is "none" in runs without this kind of contact.
     has_further = any(meeting is not None and meeting.further_contacts for meeting in meetings)
     has_unmeasured = any(meeting is not None and meeting.unmeasured_contacts for meeting in meetings)
@@ -61,10 +61,10 @@ def list_contact_rows_by_run(meetings: Sequence[Meeting | None]) -> list[dict[st
 
 
 def describe_unmeasured_contacts(meetings: Sequence[Meeting], ego: str) -> str:
-    """Return a sentence that names the entities that the ego touches although no metric measures the ego against them.
+    """Return a sentence on contacts of the ego with unmeasured entities; empty if no run has such a contact.
 
-    The sentence asks the testers to agree whether a contact with these entities fails a run, since the study does not
-    judge that. The text is empty if the ego touches no entity of this kind in any of the runs.
+    An entity is unmeasured if no metric measures the ego against the entity. The study does not judge contacts with
+    unmeasured entities, so the sentence asks the testers to agree whether these contacts fail a run.
     """
     names = list(dict.fromkeys(name for meeting in meetings for name in _contact_names(meeting.unmeasured_contacts)))
     if not names:

@@ -46,9 +46,10 @@ Trigger = tuple[str, str, str]
 class CardTexts:
     """All texts and tables of a test card, before rows for which there is no room are left out.
 
-    `lines` span the whole page. The first line says whether the rounded scenario ends as in the study; `bold` applies
-    to this line only. `parties` are the entities in order of importance. The note `below_results` stands below the
-    results. `trigger_ranks` has the rank of each trigger's actor; a lower rank is more important.
+    `lines` are texts as wide as the page. The first line says whether the rounded scenario ends as in the study, and is
+    printed bold if `bold` is True. `parties` are the entities, the most important first. The note `below_results`
+    stands below the results. `triggers` are events that move entities. `trigger_ranks` has, for each of these events,
+    the rank of the most important entity that moves; a lower rank is more important.
     """
 
     lines: Sequence[str]
@@ -64,7 +65,10 @@ class CardTexts:
 
 @dataclass(frozen=True)
 class Layout:
-    """Contents of a test card: numbers of parameters and parties (entities), triggers, and height of drawings in mm."""
+    """What fits on a test card: how many parameters and parties (entities), which triggers, and the drawings' height.
+
+    `drawing_height` is in mm.
+    """
 
     n_parameters: int
     n_parties: int
@@ -106,7 +110,7 @@ def choose_layout(texts: CardTexts) -> Layout:
 
 
 def _find_height_left(texts: CardTexts, n_parameters: int, n_parties: int) -> float:
-    """Return the height in mm that is left for triggers and drawings."""
+    """Return the height in mm that is left for triggers and drawings, given the numbers of other table rows."""
     line_lengths = [_BOLD_LINE if texts.bold else _LINE, *[_LINE] * (len(texts.lines) - 1)]
     n_lines = sum(_count_lines(text, length) for text, length in zip(texts.lines, line_lengths, strict=True))
     n_lines += _count_lines(format_settings_line(texts.parameters[n_parameters:]), _LINE - 12)

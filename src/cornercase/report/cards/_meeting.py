@@ -1,4 +1,4 @@
-"""First contact of the ego in a run, or its closest approach to another entity, as a test card shows it."""
+"""First contact of the ego in a run or, without a contact, its closest approach to another entity."""
 
 from __future__ import annotations
 
@@ -16,15 +16,19 @@ from cornercase.recordings import Recording
 
 @dataclass(frozen=True)
 class Meeting:
-    """First contact of the ego with one of the measured entities, or its closest approach if there is no contact.
+    """First contact of the ego with a measured entity, or the ego's closest approach if there is no contact.
 
-    `instant` is an index of the recording, and `time` is in s. `gap` is the distance between the boxes in m: 0 at a
-    contact, NaN if both entities never exist at the same time. Speeds are in m/s along the heading; `relative_speed` is
-    the magnitude of the relative velocity. `sides` are the touching sides of the ego's and the other's box, and `point`
-    is the point of contact in m; both are None without contact, or if unknown. `crosses` says whether the paths cross;
-    None if the paths neither cross nor go along the same road. `further_contacts` are contacts with other measured
-    entities, and `unmeasured_contacts` contacts with entities that the study does not measure. Each contact is a name
-    and the first time in s, in order of time.
+    Measured entities are those that the metrics of the study measure the ego against. `other` is the entity that the
+    ego meets. `instant` is an index of the recording, and `time` is in s. `gap` is the distance in m between the boxes
+    (outlines) of both entities: 0 at a contact, NaN if both entities never exist at the same time. Speeds are in m/s
+    along the heading; `relative_speed` is the magnitude of the relative velocity.
+
+    `sides` are the touching sides of the ego's box and the other box, and `point` is the point of contact in m. Both
+    are None if there is no contact, or if they are unknown. `crosses` is True if the paths cross, False if both go
+    along the same road, and None in any other case.
+
+    `further_contacts` are contacts of the ego with other measured entities, and `unmeasured_contacts` with unmeasured
+    entities. Each contact is the name of an entity and the time in s of the first contact, sorted by time.
     """
 
     other: str
@@ -43,13 +47,13 @@ class Meeting:
 
     @property
     def entities_hit(self) -> frozenset[str]:
-        """Names of all entities that the ego touches, measured by the study or not."""
+        """Names of all entities that the ego touches, including entities that no metric measures the ego against."""
         further = {name for name, _ in self.further_contacts + self.unmeasured_contacts}
         return frozenset(further | {self.other} if self.collides else further)
 
 
 def find_meeting(recording: Recording, ego: str, others: tuple[str, ...]) -> Meeting:
-    """Find the first contact of the ego with one of `others`, or its closest approach if there is no contact."""
+    """Find the first contact of the ego with one of `others`, or the ego's closest approach if there is no contact."""
     whole = recording.with_absent_entities((ego, *others))
     other = nearest_other(whole, ego, others)
     outcome = find_outcome(whole, ego, other, others=False)
@@ -80,7 +84,7 @@ def find_meeting(recording: Recording, ego: str, others: tuple[str, ...]) -> Mee
 
 
 def _first_contacts(recording: Recording, ego: str) -> list[tuple[str, float]]:
-    """Return the name of each entity that the ego touches and the first time in s, in order of time."""
+    """Return the name of each entity that the ego touches, and the time in s of the first contact; sorted by time."""
     times: dict[str, float] = {}
     for collision in sorted(recording.collisions, key=lambda collision: collision.time):
         if ego in collision.entities:

@@ -31,7 +31,8 @@ class Movement:
 def list_movements(scenario: ScenarioFile, values: Mapping[str, Value]) -> list[Movement]:
     """List the events of a scenario that move entities, with their start conditions in words.
 
-    The words contain the parameter values of the concrete scenario. InputError if the file cannot be read with these.
+    The words contain the parameter values of the concrete scenario. InputError if the file cannot be read with these
+    values.
     """
     names = set(scenario.parameters)
     scope = scenario.scope([{name: value for name, value in values.items() if name in names}])

@@ -56,8 +56,8 @@ class RoundedRun:
     """Rounded parameter values that a test card shows, and the run of the scenario with these values.
 
     If the scenario was not run with these values, `run` and `keeps_outcome` are None. `reason` says why the nearest
-    rounding was not run. There are `n_possible` roundings, up or down in each parameter. The `n_tried` nearest were
-    tried, and `n_failed` of these could not be run.
+    rounding was not run. Each parameter can be rounded up or down, which gives `n_possible` roundings. The `n_tried`
+    roundings nearest to the original values were tried, and `n_failed` of the tried ones could not be run.
     """
 
     values: Mapping[str, Value]
@@ -77,7 +77,7 @@ def read_stored_run(study: StudyFile, scenario: int, values: Mapping[str, Value]
 
 
 def reason_not_to_run(meta: StudyMeta) -> str:
-    """Return the reason why rounded scenarios of a study cannot be run again; empty if they can be run."""
+    """Return the reason why a study's scenarios cannot be run with rounded values; empty if they can be run."""
     if meta.simulator == IMPORTED_SIMULATOR:
         return "its recording was imported, and what made it is not known"
     if meta.suite:
@@ -119,9 +119,9 @@ class RoundedRunner:
     def choose_rounding(self, original: CardRun, roundings: Sequence[Rounding], n_possible: int) -> RoundedRun:
         """Choose the nearest rounding whose run ends like the original run.
 
-        The nearest rounding is run first, and the others only if it fails or ends in another way. If no rounding ends
-        like the original run, the nearest one is returned. `roundings` are the nearest of `n_possible`, in order of
-        distance.
+        The nearest rounding is run first. The others are run only if the run of the nearest rounding fails or ends in
+        another way. If no rounding ends like the original run, the nearest rounding is returned. `roundings` are the
+        nearest of all `n_possible` roundings, the nearest first.
         """
         nearest, *others = roundings
         (first,) = self._run([nearest])
@@ -140,7 +140,7 @@ class RoundedRunner:
         return RoundedRun(nearest.values, first, False, len(tried), n_possible, n_failed)
 
     def _run(self, roundings: Sequence[Rounding]) -> list[CardRun | str]:
-        """Run the scenario with each rounding; a text in the result says why that run failed."""
+        """Run the scenario with each rounding; for a run that fails, the result contains the reason as text."""
         concretes = [
             ConcreteScenario(self._scenario.path, rounding.values, self._scenario, self._meta.seed)
             for rounding in roundings

@@ -55,7 +55,7 @@ def count_roundings(
 def _list_steps_by_parameter(
     parameters: Sequence[Parameter], quantities: Sequence[SettableQuantity], values: Mapping[str, Value]
 ) -> dict[str, list[tuple[float, float]]]:
-    """Return by parameter the rounded values next to the value, each with its distance from the value in steps."""
+    """Return, for each parameter that is rounded, its possible rounded values with their distances in steps."""
     return {
         parameter.name: _list_steps_next_to(float(values[parameter.name]), quantity.step, parameter.low, parameter.high)
         for parameter, quantity in zip(parameters, quantities, strict=True)
@@ -66,7 +66,7 @@ def _list_steps_by_parameter(
 def _list_steps_next_to(value: float, step: float, low: float, high: float) -> list[tuple[float, float]]:
     """Return the multiples of `step` below and above a value, nearest first, each with its distance in steps.
 
-    Multiples outside the range are left out; without any multiple, the value itself is returned.
+    Multiples outside the range are left out. If the range contains neither multiple, the value itself is returned.
     """
     position = value / step
     if abs(position - round(position)) <= _TOLERANCE:

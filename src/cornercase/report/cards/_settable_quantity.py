@@ -26,7 +26,7 @@ class SettableQuantity:
     """Unit of a parameter, and the step to which a proving ground can set its values.
 
     `unit` is empty if the unit is unknown. `step` is in this unit. If `step` is None, values are not rounded, and
-    `note` says why. `is_narrow_speed` is True for speeds with a narrow range, which have a finer step.
+    `note` says why. `is_narrow_speed` is True for speeds whose range is narrower than 5 km/h; their step is finer.
     """
 
     unit: str
@@ -65,7 +65,7 @@ def find_settable_quantity(parameter: Parameter, scenario: ScenarioFile | None) 
 
 
 def _unit_in_scenario(name: str, scenario: ScenarioFile | None) -> str:
-    """Return the unit of the scenario's attributes with the value ``$name``; empty without a single unit."""
+    """Return the unit of the attributes that are set to ``$name``; empty if there are none, or several units."""
     if scenario is None:
         return ""
     units = {

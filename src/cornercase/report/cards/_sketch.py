@@ -1,4 +1,7 @@
-"""Sketches of a run from above, as SVG for print: road, paths, and boxes at the start and at the meeting."""
+"""Sketches of a run from above, as SVG for print: road, paths and outlines of entities.
+
+The outlines are drawn at the start, and at the meeting: the first contact of the ego, or else its closest approach.
+"""
 
 from __future__ import annotations
 
@@ -51,7 +54,7 @@ class View:
     def fit(cls, region: Region, width: float, height: float, turned: bool, padding: float = 0.0) -> View:
         """Return the view that fits a region, in m, into a drawing.
 
-        `width`, `height` and `padding` are in drawing units; `height` includes the strip with the scale.
+        `width`, `height` and `padding` are in drawing units; `height` includes the strip with the scale bar below.
         """
         height -= _STRIP
         x_min, y_min, x_max, y_max = region
@@ -70,7 +73,7 @@ class View:
 def draw_paths_to_meeting(
     recording: Recording, ego: str, meeting: Meeting, road: RoadOutline | None, width_mm: float, height_mm: float
 ) -> Markup:
-    """Draw the paths of all entities from above, with boxes at the start and at the meeting of ego and other."""
+    """Draw the paths of all entities from above, with their outlines at the start and at the ego's meeting."""
     region = _find_region_of_paths(recording, ego, meeting)
     size = width_mm * _PER_MM, height_mm * _PER_MM
     # The view with the larger scale; the first if both scales are equal.
@@ -219,7 +222,7 @@ def _draw_contact_point(view: View, meeting: Meeting) -> Iterator[str]:
 
 
 def _draw_scale(view: View) -> Iterator[str]:
-    """Yield the strip below the drawing: a scale bar with a round length in m, and the axes of the road file."""
+    """Yield the strip below the drawing: a scale bar with a round length in m, and arrows along the x- and y-axis."""
     fitting = [length for length in _BAR_LENGTHS if length * view.scale <= 0.3 * view.width]
     meters = max(fitting, default=_BAR_LENGTHS[0])
     length, y = meters * view.scale, view.height + 19.0

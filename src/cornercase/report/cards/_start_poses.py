@@ -18,10 +18,11 @@ from cornercase.scenario._file import ScenarioFile
 class StartPose:
     """Pose, speed and size of an entity at the first instant at which it exists.
 
-    `time` is in s, `speed` in m/s, all lengths in m. `x` and `y` are the reference point. `heading` is in degrees, from
-    -180 to 180, counter-clockwise from the x-axis. `s` is the distance along the road, and `offset` the distance from
-    the centre of the lane, to the left as seen along s. If the point is on no road, or the road is unknown, `road` and
-    `lane` are empty, and `s` and `offset` are NaN.
+    `time` is in s, `speed` in m/s, all lengths in m. `x` and `y` are the position of the entity's reference point.
+    `heading` is in degrees, from -180 to 180, counter-clockwise from the x-axis. `s` is the distance along the road.
+    `offset` is the distance of the reference point from the centre of the lane, positive to the left as seen along s.
+    If the reference point is on no road, or the road is unknown, `road` and `lane` are empty, and `s` and `offset` are
+    NaN.
     """
 
     name: str

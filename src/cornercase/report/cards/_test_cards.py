@@ -44,12 +44,13 @@ def write_test_cards(
     scenario: Path | str | None = None,
     critical: float | None = None,
 ) -> Path:
-    """Write test cards: an HTML page without scripts that prints one scenario on each A4 page, to drive it on a track.
+    """Write test cards: an HTML page without scripts that prints one scenario on each A4 page, for proving grounds.
 
-    The parameters are rounded to steps that a proving ground can set: speeds to 1 km/h, distances to 0.1 m, times to
-    0.1 s. If the study's simulator is ``"builtin"`` or ``"esmini"``, each rounded scenario is run again, and the card
-    says whether it ends as in the study. If it ends in another way, other roundings up or down are tried, at most the
-    nearest 64. The card shows the nearest rounding that ends as in the study, or says that there is none.
+    The parameters are rounded to steps that a proving ground can set: speeds to 1 km/h (0.1 km/h if the range is
+    narrower than 5 km/h), distances to 0.1 m, times to 0.1 s. If the study's simulator is ``"builtin"`` or
+    ``"esmini"``, each scenario is run again with the rounded values where possible, and the card says whether this run
+    ends as in the study. If not, other roundings up or down are tried, at most the nearest 64. The card shows the
+    nearest rounding that ends as in the study, or says that there is none.
 
     Parameters
     ----------
@@ -58,7 +59,7 @@ def write_test_cards(
     path : path
         HTML file to write; its name ends with ``.html``.
     ids : sequence of int, optional
-        Ids of scenarios. By default the reduced set; in a study of a suite that was not reduced, all scenarios.
+        Ids of scenarios. By default the reduced set. If the study ran a suite and has no reduced set, all scenarios.
     scenario : path, optional
         OpenSCENARIO file that was explored, if it is not found beside the study.
     critical : float, optional
@@ -73,7 +74,8 @@ def write_test_cards(
     Raises
     ------
     InputError
-        There is no such study or scenario, the study was not reduced, or `path` cannot be written.
+        There is no such study or scenario, the study has no reduced set and `ids` are missing, or `path` cannot be
+        written.
 
     See Also
     --------
@@ -171,7 +173,7 @@ def _make_rounding_chooser(
 ) -> _ChooseRounding:
     """Return a function that chooses the rounding of a run.
 
-    With a `reason` not to run scenarios, the function takes the nearest rounding without running it.
+    If `reason` says why scenarios cannot be run, the function takes the nearest rounding without running it.
     """
     parameters, runner = study.meta.space.parameters, None
     if not reason and scenario is not None:

@@ -1,9 +1,9 @@
 """Tolerances from a published test protocol, for the entities on a test card.
 
-The numbers were read from a third party's copy of the protocol, which is not official. Testers have to compare the
-numbers with the protocol of the actual test. The tolerances apply from the start of the test to the first intervention
-of the system, by the kind of target: ``VUT`` (vehicle under test), ``GVT`` (global vehicle target),
-``EPT`` (pedestrian), ``EBT`` (bicyclist), ``EMT`` (motorcyclist).
+The numbers were read from an unofficial copy of the protocol. Testers have to compare the numbers with the protocol of
+the actual test. The tolerances apply from the start of the test to the first intervention of the tested system. They
+depend on the kind of target: ``VUT`` (vehicle under test), ``GVT`` (global vehicle target), ``EPT`` (pedestrian),
+``EBT`` (bicyclist), ``EMT`` (motorcyclist).
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ _TARGETS: Final = {
 
 
 def find_tolerances(object_type: str, *, is_ego: bool, crosses: bool | None) -> Tolerances | None:
-    """Return the tolerances of an entity in a test; None if the protocol has no target of its type.
+    """Return the tolerances of an entity in a test; None if the protocol has no target for this type of entity.
 
     `crosses` says whether the paths of the entity and the ego cross; None if that is unknown.
     """

@@ -53,8 +53,8 @@ class Chart:
 def draw_charts(comparison: Comparison, parameters: Sequence[Parameter]) -> Iterator[Chart]:
     """Yield a chart of old against new scores for each metric with changed scores, and a chart of the parameter space.
 
-    The chart of the parameter space shows the first two numeric parameters. It is left out if there are fewer, or if no
-    scenario changed.
+    The chart of the parameter space shows the first two numeric parameters. This chart is left out if the study has
+    fewer than two numeric parameters, or if no scenario changed.
     """
     ran = [pair for pair in comparison.pairs if pair.both_ran]
     for score in comparison.scores:
@@ -169,10 +169,10 @@ def _ticks(low: float, high: float, *, is_horizontal: bool) -> tuple[tuple[float
 def _thin_unchanged(
     points: FloatArray, classes: Sequence[str], texts: Sequence[str], pairs: Sequence[ScenarioPair]
 ) -> tuple[tuple[Any, ...], ...]:
-    """Return points (x, y in pixels) with CSS class, text and ids of scenarios.
+    """Return points of a chart, without some of the unchanged points if there are too many of them.
 
-    If there are too many unchanged points, only every k-th is returned. Changed points come last, so that they are
-    drawn on top.
+    Each point consists of x and y in pixels, CSS class, text, and ids of the scenario. Changed points come last, so
+    that they are drawn on top.
     """
     unchanged = [k for k, point_class in enumerate(classes) if point_class == "both"]
     changed = [k for k, point_class in enumerate(classes) if point_class != "both"]

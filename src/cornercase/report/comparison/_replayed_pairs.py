@@ -34,7 +34,7 @@ Ids: TypeAlias = tuple[int, int]
 class ReplayedPairs:
     """Pairs of an old and a new scenario with recordings on a comparison page.
 
-    Each scenario has a number on the page, since ids of both studies overlap.
+    Each scenario has a number of its own on the page, since both studies may use the same ids.
     """
 
     pairs: list[ScenarioPair] = field(default_factory=list)
@@ -104,7 +104,10 @@ def read_replayed_pairs(
 
 
 def _order_pairs(comparison: Comparison) -> Iterator[ScenarioPair]:
-    """Yield all pairs that differ, without repetition: examples, then pairs that the verdict names, then the others."""
+    """Yield the pairs of scenarios that differ, without repetition, the most important pairs first.
+
+    The examples of the comparison come first, then pairs that the verdict names, then the others.
+    """
     by_ids = {pair.ids: pair for pair in comparison.pairs}
     named = [ids for finding in (*comparison.worse, *comparison.better) for ids in finding.ids]
     differing = [pair.ids for pair in comparison.pairs if pair.run in ("otherwise", "not in one", "within rounding")]
@@ -126,10 +129,10 @@ def _read_courses(study: StudyFile, scenario: int, comparison: Comparison) -> di
 def _describe_difference(
     pair: ScenarioPair, old: Recording | None, new: Recording | None, comparison: Comparison
 ) -> dict[str, Any]:
-    """Return side (0: old, 1: new), instant and sentence with which the replay shows the difference of a pair.
+    """Return which run and instant the replay shows first, and a sentence on the difference of a pair.
 
-    The instant is the collision that only one version has. Without such a collision no instant is returned, and the
-    replay shows the most critical instant of the more critical version.
+    The side is 0 for the old run and 1 for the new run. If only one version collides, the instant is the time of the
+    collision. Else no instant is returned, and the replay shows the most critical instant of the more critical version.
     """
     if old is None or new is None:
         return {"side": 0 if new is None else 1, "text": "One version only could run it."}
@@ -163,7 +166,7 @@ def _is_more_critical_now(pair: ScenarioPair, metrics: Mapping[str, Any]) -> boo
 
 
 def _find_divergence_time(old: Recording, new: Recording) -> float | None:
-    """Return the first time in s at which an entity is more than 0.1 m apart in both recordings; None if never."""
+    """Return the first time in s at which the positions of an entity differ by more than 0.1 m; None if never."""
     names = [name for name in old.names if name in new.names]
     end = min(old.time[-1], new.time[-1])
     times = old.time[old.time <= end]

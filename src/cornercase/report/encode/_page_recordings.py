@@ -17,7 +17,7 @@ _SIZE_SAMPLE: Final = 64
 
 
 def encode_recordings(study: StudyFile, ids: Sequence[int], *, max_characters: float = math.inf) -> dict[int, str]:
-    """Encode recordings as base64 texts, by id in the order of `ids`, until the size exceeds `max_characters`."""
+    """Encode recordings as base64 texts by scenario id; stop once the texts together exceed `max_characters`."""
     texts: dict[int, str] = {}
     size = 0
     for scenario in ids:
@@ -79,7 +79,10 @@ def _important_ids(data: ReportData, n_most_critical: int) -> Iterator[int]:
 
 
 def _van_der_corput_order(count: int) -> list[int]:
-    """Return the numbers from 0 to `count` - 1 in van der Corput order: the first k numbers are spread evenly."""
+    """Return the numbers from 0 to `count` - 1 in van der Corput order.
+
+    For each k, the first k numbers are spread evenly over all numbers.
+    """
     bits = max(count - 1, 1).bit_length()
     mirrored = (int(f"{k:0{bits}b}"[::-1], 2) for k in range(1 << bits))
     return [k for k in mirrored if k < count]

@@ -38,16 +38,16 @@ _COLOURS_TEXT: Final = (
 
 @dataclass(frozen=True)
 class PaperScenario:
-    """Contents of the paper's figure for one of its two scenarios.
+    """What figure 5 or 6 of the paper by B. Schütt, S. Otten and E. Sax (2023) shows of one of the paper's scenarios.
 
     Attributes
     ----------
     figure : str
         Name of the figure.
     aspects : tuple of str
-        Aspects by which the scenarios are compared, in the order of the panels.
+        Aspects (what concrete scenarios are compared by), in the order of the panels.
     hulls : str
-        Aspect of the clusters whose hulls are drawn; empty for figure 6.
+        Hulls are drawn around the clusters found by this aspect; empty for figure 6.
     score : str
         Metric whose scores are drawn; empty for figure 6.
 
@@ -76,7 +76,7 @@ PAPER_SCENARIOS: Final[Mapping[str, PaperScenario]] = MappingProxyType(
 
 
 def write_paper_figures(study: StudyFile | Path | str, scenario: str, folder: Path | str) -> Path:
-    """Draw the figures of the paper's discussion from a study.
+    """Draw figure 5 or 6 of the paper by B. Schütt, S. Otten and E. Sax (2023) from a study.
 
     Scenario 1 gives figure 5: kernel spaces, hulls, clusters and WTTC in the parameter space. Scenario 2 gives figure
     6: clusters in the parameter space and in the kernel spaces. A second figure, ``criticality``, shows the scores of
@@ -128,8 +128,9 @@ def write_paper_figures(study: StudyFile | Path | str, scenario: str, folder: Pa
 class _PaperData:
     """Data for the paper's figures: n scenarios with d parameters, their scores and analyses.
 
-    `values` are parameter values, and `points` the same in the unit cube, both of shape (n, d). `influential` has the
-    indices of parameters, the most influential first. `row_of` maps ids of scenarios to their rows.
+    `values` are parameter values, and `points` are the same values scaled to 0 to 1, both of shape (n, d).
+    `influential` has the indices of parameters, the most influential first. `row_of` maps the id of a scenario to its
+    row in these arrays.
     """
 
     parameters: tuple[Parameter, ...]
@@ -301,7 +302,7 @@ def _draw_scores(
 
 
 def _coordinates(values: FloatArray, parameter_indices: tuple[int, ...]) -> FloatArray:
-    """Return the coordinates on each axis, in the order of the parameters; a missing second axis is 0."""
+    """Return the values of the given parameters, one row for each axis; with one parameter, the second row is 0."""
     columns = values[:, sorted(parameter_indices)].T
     return columns if len(columns) > 1 else np.concatenate([columns, np.zeros_like(columns)])
 

@@ -105,7 +105,7 @@ def draw_hulls_and_reduced_set(
 ) -> Figure:
     """Draw the reduced set and the hull of each cluster in the parameter space.
 
-    The axes are the first three of `parameter_indices`; the figure is 2D if there are fewer.
+    The axes are the first three of `parameter_indices`. With fewer than three parameters, the figure is 2D.
     """
     row_by_id = {scenario: k for k, scenario in enumerate(ids)}
     is_3d = len(parameter_indices) >= 3

@@ -49,10 +49,10 @@ def draw_courses_by_cluster(
 def draw_coverage_curves(
     curves_and_critical: Mapping[str, tuple[CoverageCurves, BoolArray]], units: Sequence[str]
 ) -> Figure:
-    """Draw which share of scenarios lies within a distance of the reduced set, with one panel for each aspect.
+    """Draw curves of coverage: for each distance, the share of scenarios at most this far from the reduced set.
 
-    `curves_and_critical` maps an aspect (what scenarios are compared by) to the coverage by the reduced set and the
-    mask of critical scenarios. `units` are the units of the distances.
+    The figure has one panel for each aspect (what scenarios are compared by). `curves_and_critical` maps each aspect to
+    the coverage by the reduced set and the mask of critical scenarios. `units` are the units of the distances.
     """
     columns = min(3, len(curves_and_critical))
     rows = -(-len(curves_and_critical) // columns)
@@ -85,7 +85,10 @@ def draw_coverage_curves(
 
 
 def draw_sensitivities(sensitivity: Sensitivity) -> Figure:
-    """Draw the fraction of the score's variance due to each parameter, alone and in total, with intervals."""
+    """Draw which fraction of the score's variance is due to each parameter, with 90 % credible intervals.
+
+    Each parameter has two bars: for the parameter alone, and together with all other parameters.
+    """
     figure = Figure(figsize=(8.0, 1.2 + 0.5 * len(sensitivity.names)), layout="constrained")
     axis = figure.add_subplot()
     positions = np.arange(len(sensitivity.names))

@@ -18,7 +18,7 @@ from cornercase.report.text._phrases import append_unit, format_value
 def render_boundary_pairs(data: ReportData) -> Iterator[Section]:
     """Yield the section with pairs of neighbouring scenarios that end differently; nothing if there are none.
 
-    The section is left out for suites and for estimates of probabilities, too.
+    Runs of suites and estimates of probabilities do not explore the parameter space, so they have no such section.
     """
     if not data.summary.represents_space:
         return

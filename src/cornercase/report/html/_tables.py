@@ -164,7 +164,7 @@ def render_clustering_settings(clustering: Clustering) -> str:
 
 
 def render_shapes(shapes: Sequence[ClusterShape]) -> str:
-    """Render a table of the convexity of each cluster, and of the method that found its archetypes."""
+    """Render a table of each cluster: its convexity, and how its archetypes (extreme scenarios) were found."""
     return render_table(
         ["cluster", "convexity of the parameters", "in kernel space", "archetypes"],
         [

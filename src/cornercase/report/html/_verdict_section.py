@@ -35,11 +35,12 @@ _MAX_LISTED: Final = 6
 
 @dataclass(frozen=True)
 class _VerdictRow:
-    """Row of the table of verdicts, with what is shown of the scenario.
+    """Row of the table of verdicts: one verdict on a scenario, and facts about the scenario.
 
     `margin`, in `unit`, is the distance from the limit of the requirement, negative if the requirement is missed.
-    `gap`, in m, is the smallest gap to another entity, infinite after a contact or if unknown. `impact_speed`, in m/s,
-    is given for failures by a contact without a margin.
+    `nearest` describes the closest approach to another entity, and `gap` is the smallest gap in m. In scenarios with a
+    contact, or without a known approach, `nearest` is empty and `gap` infinite. `impact_speed`, in m/s, says how bad a
+    contact is if the verdict has no margin; else None.
     """
 
     scenario: int

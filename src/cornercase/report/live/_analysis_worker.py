@@ -85,9 +85,9 @@ def _contains_region(outer: Region | None, inner: Region | None) -> bool:
 
 
 class AnalysisWorker:
-    """Thread that computes the analysis of a followed study again whenever the study changes, with pauses in between.
+    """Thread that computes the analysis of a study again whenever the study changes, with pauses in between.
 
-    `latest` is the last result. It never contains more scenarios than the follower has read.
+    `latest` is the last result. It never contains more scenarios than the `StudyFollower`, another thread, has read.
     """
 
     def __init__(self, follower: StudyFollower, scenario: Path | None = None) -> None:
@@ -121,7 +121,7 @@ class AnalysisWorker:
             self._stop_event.wait(max(_MIN_INTERVAL, _INTERVAL_FACTOR * (time.monotonic() - start)))
 
     def _wait_for_follower(self, epoch: str, n_scenarios: int) -> bool:
-        """Wait until the follower has read `n_scenarios`; False if the study was replaced or the worker stopped."""
+        """Wait until the `StudyFollower` has read `n_scenarios`; False if the study is replaced or the worker stops."""
         while self._follower.epoch == epoch and not self._stop_event.is_set():
             if self._follower.state.ended >= n_scenarios:
                 return True
@@ -142,7 +142,7 @@ class AnalysisWorker:
 
 
 def _key_clusters_by_id(clusters: dict[str, Any], ids: list[int]) -> dict[str, Any]:
-    """Key labels and embedding by scenario id instead of row, because rows may be added before the page loads them."""
+    """Key labels and embedding by scenario id: the page may load them later, when the study has more rows."""
     assigned = [k for k, label in enumerate(clusters["labels"]) if label is not None]
     return clusters | {
         "labels": {ids[k]: clusters["labels"][k] for k in assigned},

@@ -89,8 +89,8 @@ class StudyFollower:
     ) -> tuple[Sequence[LiveScenario], StudyProgress | None] | None:
         """Return up to `max_digests` scenarios after the first `n_known`, and the progress if no more scenarios follow.
 
-        `epoch` identifies the study that the first scenarios came from. The result is None if another study is followed
-        now.
+        `epoch` identifies the study that contains the first `n_known` scenarios. The result is None if this thread
+        follows another study now.
         """
         with self._lock:
             if epoch != self.epoch:
@@ -195,7 +195,7 @@ class StudyFollower:
         return True
 
     def _add_scenarios(self, digests: Sequence[LiveScenario], n_pending: int, last_time: float | None) -> None:
-        """Add scenarios and update the progress while holding the lock, so that both always match."""
+        """Add scenarios and update the progress under one lock, so that the progress always matches the scenarios."""
         self._failed_errors |= {digest.row.id: digest.row.error for digest in digests if digest.row.state == "failed"}
         failed = len(self._failed_errors)
         with self._lock:

@@ -1,4 +1,4 @@
-"""Reader of single scenarios for the live page, and the columns of the page made from them."""
+"""Reader of single scenarios for the live page, and conversion of their results to columns for the page."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ _FINAL_PAUSE: Final = 1.5
 
 
 def nearest_gif_rate(fps: float) -> float:
-    """Return the frame rate, at most 50, nearest to `fps` with which GIF frames last whole hundredths of a second."""
+    """Return the possible GIF frame rate near `fps`, at most 50; GIF frames last whole hundredths of a second."""
     return 100.0 / max(2, round(100.0 / fps))
 
 

@@ -73,7 +73,7 @@ def interpolate_motion(recording: Recording, times: FloatArray) -> Motion:
 
 
 def is_visible(motion: Motion, driver: int, target: int, time_index: int) -> bool:
-    """Return whether the driver of one entity sees another entity at `time_index`, by the rule of simulated drivers."""
+    """Return whether the driver of an entity sees the `target`, by the same rule as drivers in the simulation."""
     obstacles = [entity for entity in motion.existing_entities(time_index) if entity not in (driver, target)]
     watched = [target, *obstacles]
     poses = np.stack((motion.x[:, time_index], motion.y[:, time_index], motion.heading[:, time_index]))

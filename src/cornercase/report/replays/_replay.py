@@ -69,7 +69,7 @@ def replay(
         Scenario file that was explored, to draw the road. By default the file is searched beside the study and in the
         current folder. Without the file, no road is drawn.
     critical : float, optional
-        Threshold for this replay only; by default that of the study.
+        Score from which this replay shows a scenario as critical; by default the threshold of the study.
     progress : bool, default False
         Show a progress bar on standard error.
 

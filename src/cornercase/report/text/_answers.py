@@ -114,7 +114,7 @@ def page_answers(data: ReportData) -> Iterator[Answer]:
 
 
 def _answer_search(data: ReportData) -> Iterator[Answer]:
-    """Yield the answers about the parameter space, from a search or from imported recordings."""
+    """Yield the answers for a study that searched a parameter space or imported recordings."""
     estimates = data.summary.estimates
     if estimates.pareto_front is not None:
         yield _answer_front(data)

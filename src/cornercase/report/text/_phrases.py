@@ -46,7 +46,10 @@ def describe_warm_start(meta: StudyMeta) -> str:
 
 
 def describe_unmeasured_collisions(summary: Summary, *, counts: bool = True) -> str:
-    """Describe collisions of the ego with entities against which no metric measures it; empty if there are none."""
+    """Describe collisions of the ego with unmeasured entities; empty if there are no such collisions.
+
+    An entity is unmeasured if no metric measures the ego against the entity.
+    """
     touched = [f"{name} in {count}" if counts else name for name, count in summary.unmeasured_collisions.items()]
     if not touched:
         return ""
@@ -148,7 +151,7 @@ def describe_threshold_override(summary: Summary) -> str:
 
 
 def describe_selection_threshold(summary: Summary) -> str:
-    """Describe the threshold that the reduced set was selected with, if the current one differs; else empty."""
+    """Describe with which threshold the reduced set was selected; empty if it is the current threshold."""
     critical, reduced = summary.estimates.critical, summary.reduced_set
     if critical is None or reduced is None or reduced.threshold == critical.threshold:
         return ""
@@ -170,7 +173,10 @@ def join_with_and(words: list[str]) -> str:
 
 
 def describe_little_influence(sensitivity: Sensitivity, on: str = "") -> str:
-    """Return a sentence that names the parameters of little influence and ends with `on`; empty if there are none."""
+    """Return a sentence that names the parameters of little influence; empty if there are none.
+
+    `on` is the end of the sentence, such as ``" on that variance"``.
+    """
     # Tied parameters have one joint name.
     names = [name for joint in sensitivity.uninfluential_parameters for name in joint.split(", ")]
     if not names:
@@ -227,7 +233,7 @@ def format_value(value: Value, digits: int = 6) -> str:
 
 
 def append_unit(number: str, unit: str) -> str:
-    """Append a unit to a number: ``"0.2 s"``. An empty unit and ``"1"`` are left out."""
+    """Append a unit to a number, as ``"0.2 s"``; nothing is appended if the unit is empty or ``"1"`` (no dimension)."""
     return number if unit in ("", "1") else f"{number} {unit}"
 
 

@@ -20,7 +20,7 @@ _OWN_FAULT: Final = ("ego", "both")
 
 
 def describe_next_steps(data: ReportData) -> tuple[str, tuple[str, ...]]:
-    """Describe, as a text and list items, what to give to developer, decision makers and proving ground."""
+    """Describe, as a text and list items, what to give to developers, decision makers and the proving ground."""
     scenario, what = _worst_scenario(data)
     pairs = find_collision_boundary(data, _MAX_ON_TRACK)
     text = f"Give scenario {scenario}, {what}, to the developer"

@@ -24,18 +24,19 @@ _N_COEFFICIENTS: Final = 8
 
 
 class RoadTables(NamedTuple):
-    """Reference lines of R roads with P geometries in all, as arrays for kernels.
+    """Reference lines of R roads with P geometries in all, as arrays for compiled functions.
 
-    Arrays by road, shape (R,): `heading_known` and `position_known` (whether kernels can compute headings and
-    positions), `length` in m, and the index of the `first_geometry`.
+    Arrays with one value for each road: `heading_known` and `position_known` say whether compiled functions can compute
+    headings and positions on the road, and `length` is in m. The geometries of road k have the
+    indices from ``first_geometry[k]`` to ``first_geometry[k + 1] - 1``.
 
-    Arrays by geometry: start in m and rad, `geometry_type`, and `coefficients`. The coefficients of a line, arc or
-    spiral are the curvature at its start in 1/m and the rate of change in 1/m². Those of a parametric curve are its
-    length in m, the number of tabulated steps, and the coefficients of the derivatives of both polynomials, highest
-    first.
+    Arrays with one value for each geometry: its start (`s`, `x` and `y` in m, `heading` in rad, `cos` and `sin` of the
+    heading), `geometry_type` and `coefficients`. A line, arc or spiral has two coefficients: the curvature at its start
+    in 1/m, and the change of curvature per distance in 1/m². A parametric curve has its length in m, the number of
+    steps in its table, and the coefficients of the derivatives of its two polynomials, highest first.
 
-    For a parametric curve, `table_start` is the index of its first entry in `parameter` and `parameter_rate`: the curve
-    parameter at equal distances, and its derivative in 1/m. `edges` are the road edges.
+    The table of a parametric curve begins at the index `table_start` of two arrays: `parameter` has the curve parameter
+    at equal distances, and `parameter_rate` its derivative by distance in 1/m. `edges` are the edges of the roads.
     """
 
     heading_known: BoolArray
@@ -57,7 +58,7 @@ class RoadTables(NamedTuple):
 
 
 def build_road_tables(roads: Sequence[Road]) -> RoadTables:
-    """Create the arrays of the reference lines for kernels."""
+    """Create the arrays of the reference lines for compiled functions."""
     pieces = [piece for road in roads for piece in road.geometries]
     numbers = np.zeros((len(pieces), _N_COEFFICIENTS))
     for k, piece in enumerate(pieces):
@@ -114,7 +115,7 @@ def _geometry_coefficients(geometry: ReferenceGeometry) -> tuple[float, ...]:
 
 @kernel(interpreted_seconds=lambda heading: 1e-6 * heading.size, error_model="numpy")
 def _cos_and_sin(heading):
-    """Return cosines and sines as kernels compute them, since NumPy's may differ in the last digits."""
+    """Return cosines and sines as compiled functions compute them; those of NumPy may differ in the last digits."""
     cos, sin = np.empty(heading.size), np.empty(heading.size)
     for k in range(heading.size):
         cos[k], sin[k] = math.cos(heading[k]), math.sin(heading[k])
@@ -149,10 +150,11 @@ def reference_cos_and_sin(tables, road, s):
 
 @kernel(error_model="numpy", _nrt=False)
 def stays_on_road(tables, road, s, x, y):
-    """Return whether a moved point is still on its road, or within `OFF_ROAD_TOLERANCE` of it; and its new s.
+    """Return whether a moved point is still on its road, and the s coordinate of its new position.
 
-    `s` is the previous coordinate of the point, `x` and `y` are its new position, all in m. Only for roads with
-    `position_known`.
+    Points at most `OFF_ROAD_TOLERANCE` from the edge of the road count as on the road. The argument `s` is the
+    coordinate of the point before it moved; `x` and `y` are its new position, all in m. Only for roads with
+    `position_known`. The returned s is valid only if the point is still on the road.
     """
     length = tables.length[road]
     s = min(max(s, 0.0), length)
@@ -187,7 +189,7 @@ def _line_or_arc_pose(tables, geometry, s):
 
 @kernel(error_model="numpy", _nrt=False)
 def _curve_parameter(tables, geometry, distance):
-    """Return the curve parameter at a distance, like `ReferenceGeometry.curve_parameter`."""
+    """Return the parameter of a parametric curve at a distance in m from the start of the curve."""
     length, steps, first = (
         tables.coefficients[geometry, 0],
         tables.coefficients[geometry, 1],

@@ -21,13 +21,14 @@ _EDGE_TOLERANCE: Final = 1e-9
 
 
 class RoadEdgeTables(NamedTuple):
-    """Edges of R roads with S lane sections, L lanes and Q cubics in all, as arrays for kernels.
+    """Edges of R roads with S lane sections, L lanes and Q cubics in all, as arrays for compiled functions.
 
-    `sections` (R + 1,): index of the first section of each road. `start`: start of each section in m. `lanes` (2 S +
-    1,): index of the first lane on the right and on the left of each section, from the center outwards. `cubics` (R + L
-    + 1,): index of the first cubic of each road's lane offset, and of each lane's width or border (`is_border`).
-    `coefficients` (Q, 5): start of each cubic in m, and its coefficients, lowest first. `always_inside` (R, 2): lateral
-    coordinates in m between which a point is on the road at every s.
+    `sections`, shape (R + 1,), has the index of each road's first section. `start` has the start of each section in m.
+    `lanes`, shape (2 S + 1,), has for each section the index of the first lane on its right side and on its left side;
+    lanes are counted from the center outwards. Cubics describe the lane offset of each road, and then the width of each
+    lane, or its border if `is_border` is True. `cubics`, shape (R + L + 1,), has the index of the first cubic of each
+    of these curves. `coefficients`, shape (Q, 5), has the start of each cubic in m and its coefficients, lowest first.
+    `always_inside`, shape (R, 2), has two lateral coordinates in m: a point between them is on the road at every s.
     """
 
     sections: IntArray
@@ -40,7 +41,7 @@ class RoadEdgeTables(NamedTuple):
 
 
 def build_edge_tables(roads: Sequence[Road]) -> RoadEdgeTables:
-    """Create the arrays of road edges for kernels."""
+    """Create the arrays of road edges for compiled functions."""
     lines: list[tuple[CubicPolynomial, ...]] = [road.lane_offsets for road in roads]
     starts, counts, bordered = [], [], []
     for road in roads:
