@@ -28,7 +28,7 @@ def network(folder, *edits: tuple[str, str]) -> RoadNetwork:
         ("OpenDRIVE>", "Roads>", "the root element is <Roads>"),
         (ROAD[ROAD.index("<road ") : ROAD.index("</OpenDRIVE>")], "", "has no <road>"),
         ("</OpenDRIVE>", ROAD[ROAD.index("<road ") :], "line 6: <road>: a second road has the id '1'"),
-        (LINE, "<loop/>", "is not a line, arc, spiral, poly3 or paramPoly3"),
+        (LINE, "<loop/>", "has no <line>, <arc>, <spiral>, <poly3> or <paramPoly3>"),
         ('hdg="0" length="500"', 'hdg="0" length="0"', r"a <geometry> has the length 0(\.0)? m"),
         ('hdg="0" length="500"', 'hdg="here" length="500"', "line 2, road 1: hdg of <geometry> is 'here', not a finite number"),
         (ROAD[ROAD.index("<geometry") : ROAD.index("</planView>")], "", "has no <geometry>"),

@@ -239,7 +239,7 @@ def test_43_12_lanes_are_whole_numbers_of_lanes_that_are_there(tmp_path: Path) -
     assert 'parameterType="integer"' in (tmp_path / "out.xosc").read_text("utf-8")
     for value in range(round(proposed.proposed_low or 0), round(proposed.proposed_high or 0) + 1):
         simulate(tmp_path / "out.xosc", {"Ego_initial_lane": value}, duration=0.5)
-    with pytest.raises(InputError, match=r"the road has no lane -\d+ there; its lanes are"):
+    with pytest.raises(InputError, match=r"the road has no lane -\d+ at this position; its lanes are"):
         vary(path, ["Ego.initial.lane=-9:-1"], tmp_path / "out.xosc")
     with pytest.raises(InputError, match="use whole numbers"):
         vary(path, ["Ego.initial.lane=-2:-1:0.5"], tmp_path / "out.xosc")

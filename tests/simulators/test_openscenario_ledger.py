@@ -239,7 +239,7 @@ def test_a_user_defined_distribution_is_refused(tmp_path):
         "<UserDefinedDistribution type='a'/>",
     )
     space.write_text(text, encoding="utf-8")
-    with pytest.raises(InputError, match="user-defined distribution is not"):
+    with pytest.raises(InputError, match="user-defined distributions are not"):
         LogicalScenario.read(path, space)
 
 

@@ -31,11 +31,11 @@ Region = tuple[float, float, float, float]
 
 
 class RoadOutline(NamedTuple):
-    """Areas and lines to draw; each has a kind, and points of shape (P, 2) in m.
+    """Areas and lines to draw: pairs of a kind and an array of points in m, shape (P, 2).
 
-    The kinds of areas are ``"road"`` for vehicles, ``"walk"`` for pedestrians and ``"verge"`` for the rest. Areas may
-    overlap, for example in junctions. Lines separate lanes for vehicles: ``"lane"`` if both lanes have the same
-    direction, else ``"centre"``. There are no lines in junctions.
+    An area is the polygon of neighboring lanes of a kind: ``"road"`` for vehicles, ``"walk"`` for pedestrians, or
+    ``"verge"`` for other lanes. Areas may overlap, for example in junctions. A line separates two lanes for vehicles.
+    Its kind is ``"lane"`` if both lanes have the same direction, else ``"centre"``. Junctions have no lines.
     """
 
     areas: list[tuple[str, FloatArray]]
@@ -43,7 +43,7 @@ class RoadOutline(NamedTuple):
 
 
 def outline_roads(network: RoadNetwork, region: Region) -> RoadOutline:
-    """Return areas and lines of the roads in a region; they are polylines within 5 cm of the lane borders."""
+    """Return areas and lines of the roads in a region; their points follow the lane borders to within 5 cm."""
     outline = RoadOutline([], [])
     for road in _roads_near(network, region):
         for section in range(len(road.sections)):
@@ -53,7 +53,10 @@ def outline_roads(network: RoadNetwork, region: Region) -> RoadOutline:
 
 
 def _roads_near(network: RoadNetwork, region: Region) -> Iterator[Road]:
-    """Yield the roads that may reach into the region, judged by discs around their geometries."""
+    """Yield the roads that may reach into the region.
+
+    The test is coarse: it takes each geometry of a road as a disc that surely contains the geometry and its lanes.
+    """
     pieces = [
         (k, geometry.x, geometry.y, geometry.length)
         for k, road in enumerate(network.roads)
@@ -73,7 +76,10 @@ def _distance_from_region(x: FloatArray, y: FloatArray, region: Region) -> Float
 
 
 def _sample_section_in_region(road: Road, section: int, region: Region) -> Iterator[FloatArray]:
-    """Yield the s coordinates of samples for each part of a lane section in the region, closer together in bends."""
+    """Yield an array of s coordinates for each part of a lane section that lies in the region.
+
+    The coordinates are closer together in bends.
+    """
     start, end = road.section_interval(section)
     if end <= start:
         return
@@ -89,7 +95,7 @@ def _sample_section_in_region(road: Road, section: int, region: Region) -> Itera
 
 
 def _true_runs(mask: BoolArray) -> Iterator[tuple[int, int]]:
-    """Yield start and end (exclusive) of each run of True in a mask."""
+    """Yield the first index of each unbroken series of True in a mask, and the index after its last."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
     yield from zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
 
@@ -149,7 +155,7 @@ def _area_kind(kind: str, drivable: bool) -> str:
 
 
 def _simplify_line(points: FloatArray) -> FloatArray:
-    """Remove points of a line (Douglas-Peucker); removed points are at most `_MAX_DEVIATION` away from the rest."""
+    """Simplify a line (Douglas-Peucker): removed points are at most `_MAX_DEVIATION` away from the simplified line."""
     keep = np.zeros(len(points), dtype=np.bool_)
     keep[[0, -1]] = True
     pending = [(0, len(points) - 1)]

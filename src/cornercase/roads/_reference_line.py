@@ -1,4 +1,4 @@
-"""Reference lines of roads: the geometries of the plan view in OpenDRIVE."""
+"""Reference lines of roads, which OpenDRIVE composes of geometries such as lines, arcs and spirals."""
 
 from __future__ import annotations
 
@@ -34,13 +34,15 @@ _MIN_DERIVATIVE: Final = 1e-9
 
 @dataclass(frozen=True)
 class ReferenceGeometry:
-    """A geometry of a reference line: start pose and length in m and rad, kind (element name), and shape parameters.
+    """A geometry: one piece of a reference line. Lengths are in m, angles in rad.
 
+    `s`, `x`, `y` and `heading` are those of its start. `kind` is the name of its element, such as ``"arc"``.
     `shape_parameters` are the curvature of an arc, the curvatures at both ends of a spiral, or the coefficients of a
-    poly3. For a paramPoly3 they are the largest parameter, followed by the coefficients.
+    poly3. For a paramPoly3 they are the value of the curve parameter p at the end, followed by the coefficients.
 
-    The parameter of a ``paramPoly3`` is not proportional to the distance, which is measured along the curve. If the
-    length of the curve differs from `length`, the curve is stretched. Beyond its ends the line goes straight on.
+    All methods take distances along the curve, to which the curve parameter of a paramPoly3 is not proportional. If
+    the coefficients of a paramPoly3 give another length than `length`, distances are scaled to fit. Before its start
+    and after its end, a paramPoly3 goes straight on.
     """
 
     s: float
@@ -91,7 +93,10 @@ class ReferenceGeometry:
         return u + beyond * np.cos(turn), v + beyond * np.sin(turn), turn
 
     def curve_parameter(self, distance: FloatArray) -> FloatArray:
-        """Return the parameter of a ``paramPoly3`` at distances from its start, shape (N,); clipped at its ends."""
+        """Return the curve parameter p of a ``paramPoly3`` at distances from its start, shape (N,).
+
+        Distances before the start or after the end are clipped.
+        """
         value, slope = self.parameter_table
         step = self.length / (len(value) - 1)
         position = np.clip(distance, 0.0, self.length) / step
@@ -103,7 +108,7 @@ class ReferenceGeometry:
 
     @cached_property
     def parameter_table(self) -> tuple[FloatArray, FloatArray]:
-        """Parameter of a ``paramPoly3`` at equal distances, and the derivative of the parameter in 1/m."""
+        """Curve parameter p of a ``paramPoly3`` at evenly spaced distances, and its derivative by distance, in 1/m."""
         top, *c = self.shape_parameters
         du, dv = _derivative_coefficients(c[:4]), _derivative_coefficients(c[4:])
         steps = int(np.clip(np.ceil(self.length / _TABLE_STEP), *_TABLE_SIZE_LIMITS))
@@ -148,7 +153,8 @@ def read_geometry(
 ) -> ReferenceGeometry:
     """Read a ``geometry``; `location` names file and road.
 
-    `default_start` (in m) replaces a missing start. `default_end`, as written in the file, determines a missing length.
+    If the file gives no start, the geometry starts at `default_start` (in m). If the file gives no length, the geometry
+    ends at `default_end` (text of the file in m).
     """
     s = read_finite_number(element, "s", location, default_start)
     x, y, heading = (read_finite_number(element, name, location, 0.0) for name in ("x", "y", "hdg"))
@@ -161,7 +167,9 @@ def read_geometry(
     shape = next(iter(element.iterchildren("line", "arc", "spiral", "poly3", "paramPoly3")), None)
     if shape is None:
         location = replace_line_number(location, element)
-        raise InputError(f"{location}: a <geometry> is not a line, arc, spiral, poly3 or paramPoly3.")
+        raise InputError(
+            f"{location}: a <geometry> has no <line>, <arc>, <spiral>, <poly3> or <paramPoly3>; give it one."
+        )
     kind = str(shape.tag)
     names = {"line": (), "arc": ("curvature",), "spiral": ("curvStart", "curvEnd"), "poly3": ("a", "b", "c", "d")}
     if kind != "paramPoly3":
@@ -203,7 +211,7 @@ def _spiral_pose(
 
 
 def is_nearly_arc(start_curvature: float, end_curvature: float, length: float) -> bool:
-    """Return whether the curvature of a spiral is nearly constant, so that the spiral is treated as an arc."""
+    """Return whether a spiral is treated as an arc, since its curvature is nearly constant."""
     return abs((end_curvature - start_curvature) / length) * length**2 < _MAX_ARC_DEVIATION
 
 
@@ -237,7 +245,7 @@ def match_enumeration(element: etree._Element, attribute: str, allowed: Sequence
 
 
 def _positive_difference(end: str | None, start: float) -> float | None:
-    """Return the distance from a start to an end (a text); None if it is not positive."""
+    """Return `end` (text of a file) minus `start`; None if the difference is not above 0, or `end` is not a number."""
     try:
         return max(parse_number(end or "") - start, 0.0) or None
     except ValueError:
@@ -245,7 +253,10 @@ def _positive_difference(end: str | None, start: float) -> float | None:
 
 
 def record_wrong_order(elements: Sequence[etree._Element], starts: Sequence[float]) -> None:
-    """Note a violation on each element that starts before the previous element in the file; `starts` are in m."""
+    """Record a violation of the standard on each element that starts before its predecessor in the file.
+
+    `starts` has the start of each element in m.
+    """
     for element, start, previous in zip(elements[1:], starts[1:], starts[:-1], strict=True):
         if start < previous:
             tag = tag_without_namespace(element)
@@ -262,7 +273,10 @@ def _derivative_coefficients(coefficients: tuple[float, ...] | list[float]) -> l
 
 
 def read_finite_number(element: etree._Element, attribute: str, location: str, default: float | None = None) -> float:
-    """Read a finite number from an attribute, or use `default` and note a violation; `location` names file and road."""
+    """Read a finite number from an attribute; `location` names file and road.
+
+    If the attribute is missing, return `default` and record a violation of the standard on the element.
+    """
     text = element.get(attribute)
     if default is not None and not (text or "").strip():
         tag = tag_without_namespace(element)

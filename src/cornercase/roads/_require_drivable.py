@@ -27,10 +27,11 @@ _MAX_LENGTH_RATIO: Final = 2.0
 
 
 def require_drivable_road(road: Road, element: etree._Element, location: str) -> None:
-    """Raise `InputError` if a road cannot be driven.
+    """Raise `InputError` if the geometry of a road is impossible.
 
-    The reference line must have no gaps and no extreme curvature, and must be about as long as its `length`. The road
-    and its lanes must not be extremely far away.
+    The reference line must have no large gaps and no extreme curvature. The curve of a paramPoly3 must be about as
+    long as its attribute ``length`` says. The road must not be extremely far from the origin, and its lanes must not be
+    extremely far from its reference line.
     """
     ends = [*(geometry.s for geometry in road.geometries[1:]), road.length]
     for geometry, end in zip(road.geometries, ends, strict=True):
@@ -78,9 +79,8 @@ def _require_valid_geometry(geometry: ReferenceGeometry, end: float, location: s
         bend = max(map(abs, geometry.shape_parameters), default=0.0)
         if bend > _MAX_CURVATURE and bend * geometry.length > 2.0 * np.pi:
             raise InputError(
-                f"{location} turns by more than a full circle with a curvature of {bend:g} 1/m; such a geometry may"
-                f" have at"
-                f" most {_MAX_CURVATURE:g} 1/m; correct its curvature or length."
+                f"{location} turns by more than a full circle, and has a curvature of {bend:g} 1/m; in such a turn,"
+                f" at most {_MAX_CURVATURE:g} 1/m are allowed; correct its curvature or length."
             )
         return
     # The last geometry is continued to the end of the road.
@@ -92,17 +92,16 @@ def _require_valid_geometry(geometry: ReferenceGeometry, end: float, location: s
         raise InputError(f"{location} lies more than {_MAX_COORDINATE / 1000:g} km from the origin; move it nearer.")
     if geometry.kind == "paramPoly3" and not 1 / _MAX_LENGTH_RATIO <= length / geometry.length <= _MAX_LENGTH_RATIO:
         raise InputError(
-            f"{location} is a <paramPoly3> that is {length:.3g} m long, but its length says"
-            f" {geometry.length:g} m; correct"
-            " its coefficients, or its pRange."
+            f"{location} has a <paramPoly3> whose curve is {length:.3g} m long, but its attribute length is"
+            f" {geometry.length:g} m; correct its coefficients, its pRange, or its length."
         )
 
 
 def _require_bounded_cubics(cubics: tuple[CubicPolynomial, ...], length: float, subject: str) -> None:
-    """Raise `InputError` if piecewise cubics become too large before the next piece starts."""
+    """Raise `InputError` if the value of a cubic becomes too large before the next cubic, or the `length`, begins."""
     ends = [*(start for start, *_ in cubics), length][1:]
     for (start, *coefficients), end in zip(cubics, ends, strict=False):
         reach = max(min(end, length) - max(start, 0.0), 0.0)
         largest = sum(abs(coefficient) * reach**power for power, coefficient in enumerate(coefficients))
         if reach > 0.0 and not largest <= _MAX_LANE_OFFSET:
-            raise InputError(f"{subject} reaches {largest:.3g} m out; at most {_MAX_LANE_OFFSET:g} m are read.")
+            raise InputError(f"{subject} reaches {largest:.3g} m; at most {_MAX_LANE_OFFSET:g} m are allowed.")

@@ -44,11 +44,11 @@ _MAX_LATERAL_SLOPE: Final = 10.0
 
 @dataclass(frozen=True)
 class RoadLink:
-    """Link at one end of a road: to the ``start`` or ``end`` of another road, to a position along it, or to a junction.
+    """Link at one end of a road: to a junction, or to the start, the end or another position of a target road.
 
-    `target_type` is ``"road"``, ``"junction"``, or empty if it is not known yet. `s` is the position along the other
-    road in m, if any. `forward` says how a drive along the s of this road continues there: along the other road's s, or
-    against it.
+    `target_type` is ``"road"``, ``"junction"``, or empty if it is not known yet. `contact_point` is ``"start"`` or
+    ``"end"`` of the target road. `s` is the position along the target road in m, for a link to another position.
+    In this case `forward` tells whether a vehicle that follows increasing s on this road does so on the target road.
     """
 
     target_type: str
@@ -60,7 +60,7 @@ class RoadLink:
 
 @dataclass(frozen=True)
 class Road:
-    """A road; all lengths in m, angles in rad."""
+    """A road. Lengths are in m, angles in rad."""
 
     road_id: str
     length: float
@@ -89,9 +89,10 @@ class Road:
         return bend
 
     def sample_curvature(self, start: float, end: float, step: float) -> tuple[FloatArray, FloatArray]:
-        """Return s coordinates and curvatures, shape (K,), that define the curvature by linear interpolation.
+        """Return samples of the curvature for linear interpolation: s coordinates and curvatures, shape (K,) each.
 
-        At a jump of the curvature, an s occurs twice. On polynomials, coordinates are at most `step` m apart.
+        Where two geometries meet, s occurs twice, with the curvature of each. On poly3 and paramPoly3, samples are at
+        most `step` m apart.
         """
         at, bend = [np.zeros(0)], [np.zeros(0)]
         for k, geometry in enumerate(self.geometries):
@@ -107,7 +108,7 @@ class Road:
 
     @cached_property
     def jumps(self) -> tuple[float, ...]:
-        """Coordinates s in m at which consecutive geometries do not meet."""
+        """Coordinates s in m at which there is a gap between two consecutive geometries."""
         jumps = []
         for before, after in zip(self.geometries, self.geometries[1:], strict=False):
             x, y, _ = before.pose_at(np.array([after.s - before.s]))
@@ -116,7 +117,7 @@ class Road:
         return tuple(jumps)
 
     def _geometries_at(self, s: FloatArray) -> Iterator[tuple[ReferenceGeometry, BoolArray]]:
-        """Yield each geometry with a mask of the coordinates that lie on it."""
+        """Yield each geometry on which some of the coordinates `s` lie, and a mask of these coordinates."""
         if len(self.geometries) == 1:
             yield self.geometries[0], np.ones(len(s), dtype=np.bool_)
             return
@@ -133,9 +134,9 @@ class Road:
     def lane_pose_at(
         self, lane: int, s: FloatArray, offset: FloatArray | float = 0.0
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return x, y and heading at an offset from a lane's center, shape (N,) each.
+        """Return x, y and heading at a lateral offset in m from a lane's center, shape (N,) each.
 
-        The heading is that of the reference line.
+        The offset is positive to the left of the reference line. The heading is that of the reference line.
         """
         section, t = self.section_at(s), np.empty(len(s))
         for k in sorted(set(section.tolist())):
@@ -144,7 +145,7 @@ class Road:
 
     @cached_property
     def section_bounds(self) -> FloatArray:
-        """Starts of all lane sections and the end of the last, in m, shape (number of sections + 1,)."""
+        """Starts of all lane sections, and the end of the last section, in m; shape (number of sections + 1,)."""
         return np.array([*(start for start, _ in self.sections), self.length])
 
     def section_interval(self, section: int) -> tuple[float, float]:
@@ -195,7 +196,10 @@ class Road:
         return usual ^ reverse[self.section_at(s)]
 
     def speed_limit(self, section: int, lane: int, s: FloatArray) -> FloatArray:
-        """Return the limit of a lane at each s in m/s, shape (N,), or else the limit of the road; NaN if unknown."""
+        """Return the speed limit of a lane at each s in m/s, shape (N,).
+
+        Where the lane has no limit of its own, the limit of the road holds; NaN if that is unknown, too.
+        """
         start, lanes = self.sections[section]
         of_lane = speed_limit_at(lanes[lane].speed_limits if lane in lanes else (), s - start)
         return np.where(np.isnan(of_lane), speed_limit_at(self.speed_limits, s), of_lane)
@@ -203,7 +207,10 @@ class Road:
     def lane_edge_offsets(
         self, section: int, lane: int, s: FloatArray, derivative: bool = False
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the lateral coordinates t of a lane's inner and outer edge at each s, or their derivatives by s."""
+        """Return the lateral coordinates t of a lane's inner and outer edge at each s, shape (N,) each.
+
+        The inner edge is the one nearer to lane 0. If `derivative` is set, return the derivatives of t by s.
+        """
         start, lanes = self.sections[section]
         sign = 1 if lane > 0 else -1
         zero = evaluate_polynomials(
@@ -233,7 +240,7 @@ def read_road(element: etree._Element, location: str, forced_starts: Iterable[fl
     if length < _MIN_ROAD_LENGTH:
         raise InputError(f"{location}: <road> has the length {length:g} m; it must be at least {_MIN_ROAD_LENGTH:g} m.")
     if length > _MAX_ROAD_LENGTH:
-        raise InputError(f"{location}: <road> is {length:g} m long; at most {_MAX_ROAD_LENGTH:g} m are read.")
+        raise InputError(f"{location}: <road> is {length:g} m long; at most {_MAX_ROAD_LENGTH:g} m are allowed.")
     # Geometries of almost no length have no shape to continue.
     geometries = (
         tuple(geometry for geometry in geometries if geometry.length > _COORDINATE_TOLERANCE) or geometries[-1:]
@@ -264,7 +271,7 @@ def read_road(element: etree._Element, location: str, forced_starts: Iterable[fl
 
 
 def _read_geometries(road: etree._Element, location: str) -> tuple[ReferenceGeometry, ...]:
-    """Return the geometries of the reference line, in order."""
+    """Return the geometries of the reference line, in the order of their starts."""
     elements, geometries = list(road.iterfind("planView/geometry")), list[ReferenceGeometry]()
     if not elements:
         raise InputError(f"{location}: has no <geometry> in its <planView>.")
@@ -277,14 +284,13 @@ def _read_geometries(road: etree._Element, location: str) -> tuple[ReferenceGeom
 
 
 def find_permanent_lanes(road: etree._Element, location: str) -> etree._Element | None:
-    """Return the <lanes> of the permanent layer (outside of roadworks); None if the road has no <lanes>."""
+    """Return the <lanes> of a road in its permanent state, without roadworks; None if the road has no <lanes>."""
     layers = find_untracked(road, "lanes")
     permanent = [element for element in layers if element.attrib.get("layer", PERMANENT_LAYER) == PERMANENT_LAYER]
     if len(permanent) > 1:
         raise InputError(
             f"{replace_line_number(location, permanent[1])}: has a second <lanes> of the layer"
-            f" '{PERMANENT_LAYER}'; keep one of them,"
-            " or name the layer of the other."
+            f" '{PERMANENT_LAYER}'; keep one of them, or give the other <lanes> another layer."
         )
     if layers and not permanent:
         layer = layers[0].attrib.get("layer")

@@ -20,7 +20,10 @@ JunctionConnection = tuple[str, str, str, dict[int, int]]
 
 
 class RoadGraph:
-    """Connections between the roads of a network, regardless of lanes; arguments as in `LaneGraph`."""
+    """Connections between the roads of a network, regardless of lanes.
+
+    `connections` has the connections of each junction, by junction id. `road_indices` maps road ids to indices.
+    """
 
     def __init__(
         self,
@@ -35,7 +38,10 @@ class RoadGraph:
     def driving_distance(
         self, road: IntArray, s: FloatArray, forward: BoolArray, goal_road: IntArray, goal_s: FloatArray
     ) -> FloatArray:
-        """Return the distances along roads in m, shape (N,); see `RoadNetwork.driving_distance`."""
+        """Return the distances along roads from positions to goals, in m, shape (N,).
+
+        `RoadNetwork.driving_distance` explains the arguments and the signs.
+        """
         ahead = np.where(road == goal_road, np.where(forward, goal_s - s, s - goal_s), np.inf)
         back = np.full(len(s), np.inf)
         section = np.zeros(len(s), dtype=np.int64)
@@ -52,9 +58,9 @@ class RoadGraph:
         return np.where(ahead <= back, ahead, -back)
 
     def length_to_goal(self, road: int, section: int, forward: bool, goal_road: int) -> float:
-        """Return the driving distance in m from the start of a lane section to a road.
+        """Return the driving distance in m over a lane section and on to the nearest entry of a goal road.
 
-        Infinite if the road cannot be reached.
+        Return 0 if the section is on the goal road, and infinity if no route leads to the goal road.
         """
         if road == goal_road:
             return 0.0
@@ -76,7 +82,10 @@ class RoadGraph:
         return best
 
     def _routes_to(self, road: int, section: int, forward: bool, goal_road: int) -> list[tuple[float, float, bool]]:
-        """Return routes from the end of a lane section to a road: length in m, s of arrival, whether along s there."""
+        """Return the routes from the end of a lane section to a goal road.
+
+        Each is a tuple: length in m, s at which the route enters the goal road, whether s increases from there on.
+        """
         key = road, section, forward, goal_road
         if key in self._routes:
             return self._routes[key]
@@ -97,7 +106,10 @@ class RoadGraph:
         return self._routes[key]
 
     def _next_roads(self, road: int, forward: bool, s: float) -> list[tuple[float, int, bool, float]]:
-        """Return the following roads: distance in m to the entry, road index, whether along s there, s of the entry."""
+        """Return the next roads that a vehicle can enter from position `s` of a road.
+
+        Each is a tuple: distance in m to the entry, index of the next road, whether s increases there, s of the entry.
+        """
         current, ahead = self._roads[road], 1 if forward else -1
         candidates = [
             (abs(at - s), *self._entry_at_road_end(name, contact))
@@ -126,7 +138,7 @@ class RoadGraph:
         ]
 
     def _do_roads_touch(self, road: int, s: float, other: int, other_s: float) -> bool:
-        """Return whether two roads touch at the given positions."""
+        """Return whether two roads are at most `MAX_GAP` apart at the given positions."""
         key = road, s, other, other_s
         if key not in self._touching:
             edge, other_edge = (self._edge_points(r, at) for r, at in ((road, s), (other, other_s)))
@@ -150,7 +162,10 @@ class RoadGraph:
 
     @cached_property
     def connecting_roads_at_ends(self) -> dict[tuple[str, str, str], list[tuple[str, str]]]:
-        """Connecting roads (id and touching end) of junctions, by (junction, road, end of the road)."""
+        """Connecting roads of junctions that touch an end of another road; by (junction, other road, end of that road).
+
+        Each connecting road is a pair: id, and which of its ends touches.
+        """
         ends: dict[tuple[str, str, str], list[tuple[str, str]]] = {}
         for name, contact, link in self._connecting_road_links():
             if link.s is None:
@@ -160,7 +175,11 @@ class RoadGraph:
 
     @cached_property
     def connecting_roads_along(self) -> dict[tuple[str, bool], list[tuple[float, str, str]]]:
-        """Connecting roads that start or end along a road, as (s, id, touching end); by (road, whether along its s)."""
+        """Connecting roads that touch another road between its ends; by (other road, direction of driving on it).
+
+        The direction is True for increasing s. Each connecting road is a tuple: s on the other road, id, and which end
+        of the connecting road touches.
+        """
         ends: dict[tuple[str, bool], list[tuple[float, str, str]]] = {}
         for name, contact, link in self._connecting_road_links():
             if link.s is not None:

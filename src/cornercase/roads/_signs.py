@@ -1,4 +1,4 @@
-"""Speed limits, signals and priorities of roads, for systems under test and questions of fault only."""
+"""Speed limits, signals and priorities of roads; only systems under test and the analysis of fault use them."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ SpeedLimits = tuple[tuple[float, float], ...]
 
 
 class RoadSignal(NamedTuple):
-    """A sign or a light beside a road, at `s` in m.
+    """A traffic sign or traffic light beside a road, at `s` in m.
 
-    `faces_forward` and `faces_backward` say whether the signal concerns traffic along s, and against s. `lanes` are the
-    intervals of lane numbers that the signal concerns; empty for all lanes. `country` is the country whose catalogue
-    defines the type, if the file names the country. A reference to a signal of another road has the name of this
-    signal, but no type.
+    `name` is its id. `faces_forward` tells whether the signal concerns traffic along s, `faces_backward` whether it
+    concerns traffic against s. `lanes` are the intervals of lane numbers that the signal concerns; empty for all lanes.
+    `country` is the country whose catalogue defines `signal_type`; empty if the file names no country. If a road only
+    refers to a signal of another road, `name` is the id of the other road's signal, and `signal_type` is empty.
     """
 
     name: str
@@ -50,7 +50,7 @@ def read_road_speed_limits(road: etree._Element) -> SpeedLimits:
 
 
 def read_lane_speed_limits(lane: etree._Element) -> SpeedLimits:
-    """Return the speed limits of a lane; starts are measured from the start of the lane section."""
+    """Return the speed limits of a lane; each starts at a distance in m from the start of the lane section."""
     return _sort_limits((_read_number_or_nan(element, "sOffset"), element) for element in find_untracked(lane, "speed"))
 
 
@@ -74,7 +74,7 @@ def _read_limit(speed: etree._Element) -> float:
 
 
 def _read_number_or_nan(element: etree._Element, name: str) -> float:
-    """Return an attribute as a number; NaN if invalid, so that signs and limits never make a file unusable."""
+    """Return an attribute as a number; NaN if it is not a number, since a bad sign must not make a file unusable."""
     try:
         return float(element.attrib.get(name, math.nan))
     except ValueError:

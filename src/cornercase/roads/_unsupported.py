@@ -29,8 +29,8 @@ def list_unsupported(
 ) -> tuple[Notice, ...]:
     """List the parts of a road file that have no effect.
 
-    If `network` is given, linked roads that do not meet are reported. Unused elements are listed only if the file was
-    `fully_read`.
+    If `network` is given, also report linked roads that do not meet, roads that are longer than their geometries, and
+    lanes of negative width. Elements that nothing has read are listed only if the file was `fully_read`.
     """
     elements = list(root.iter())
     reserved = [
@@ -68,7 +68,7 @@ def list_unsupported(
 
 
 def _geometry_notices(elements: dict[str, etree._Element], file: Path, network: RoadNetwork) -> list[Notice]:
-    """Return notices about roads that are longer than their geometry, and about lanes with negative width."""
+    """Return notices about roads that are longer than their geometries, and about lanes with negative width."""
     short, narrow = [], []
     for road in network.roads:
         first, last = road.geometries[0], road.geometries[-1]
@@ -88,7 +88,7 @@ def _geometry_notices(elements: dict[str, etree._Element], file: Path, network: 
 
 
 def _min_lane_width(road: Road, section: int) -> float:
-    """Return the smallest width in m that the cubics of a lane section's lanes reach."""
+    """Return the smallest width in m of all lanes of a section, at 20 samples along the section."""
     s = np.linspace(0.0, max(float(np.diff(road.section_bounds)[section]), 0.0), 20)
     lanes = road.sections[section][1].values()
     return min((float(evaluate_polynomials(lane.widths, s).min()) for lane in lanes), default=0.0)
@@ -114,7 +114,7 @@ def _roads_with_slope(root: etree._Element) -> list[etree._Element]:
 
 
 def _max_slope_or_value(records: list[etree._Element], length: str, slope: bool) -> float:
-    """Return the largest absolute slope (or value, unless `slope`) of piecewise cubics along a road."""
+    """Return the largest absolute slope of piecewise cubics along a road; without `slope`, their largest value."""
     if not records:
         return 0.0
     try:

@@ -36,7 +36,8 @@ class AttributeReader:
 
     `parameter_values` has the value of each parameter, a scalar or an array of shape (N,). `origin_parameters` has, for
     each parameter, the parameters of the logical scenario that determine its value. `split_parameters` collects the
-    parameters that must be equal in all N scenarios, since an attribute that depends on them was read as one value.
+    parameters that must have the same value in all N scenarios, since an attribute that depends on them was read as one
+    value for all.
     """
 
     def __init__(
@@ -60,8 +61,8 @@ class AttributeReader:
     def read_numbers(self, element: etree._Element, attribute: str, default: float | None = None) -> FloatArray:
         """Read an attribute as a number for each scenario, shape (N,).
 
-        If an expression has no value in a scenario, its number is not finite, and `invalid_values` lists the attribute.
-        Without `default`, the attribute must be present.
+        In scenarios in which an expression has no value, the number is not finite, and `invalid_values` lists the
+        attribute. If the attribute is missing, return `default`, or raise `InputError` if that is None.
         """
         text = element.get(attribute)
         if text is None:
@@ -95,18 +96,24 @@ class AttributeReader:
         return result
 
     def mark_invalid(self, element: _SourceElement, attribute: str, reason: str, invalid: BoolArray) -> None:
-        """Record that an attribute is invalid in the scenarios of a mask; `reason` is like "is not above 0"."""
+        """Record that an attribute is invalid in the scenarios where the mask `invalid` is True.
+
+        `reason` completes a sentence about the attribute, such as "is not above 0".
+        """
         if invalid.any():
             self._invalid_values.append(
                 (f"line {element.sourceline}: {attribute} of <{element.tag}> {reason}", invalid.copy())
             )
 
     def invalid_values(self) -> list[tuple[str, BoolArray]]:
-        """Return the invalid attributes in reading order: a description without full stop, and a mask of shape (N,)."""
+        """Return a description and a mask for each invalid attribute, in the order of reading.
+
+        The description has no full stop. The mask has shape (N,) and marks the scenarios in which it is invalid.
+        """
         return list(self._invalid_values)
 
     def read_number(self, element: etree._Element, attribute: str, default: float | None = None) -> float:
-        """Read an attribute as one number; raises `BatchSplitError` if the scenarios differ."""
+        """Read an attribute as one number for all scenarios; raises `BatchSplitError` if their numbers differ."""
         text = element.get(attribute, "")
         literal = _parse_number_cached(text)
         if literal is not None:
@@ -123,7 +130,7 @@ class AttributeReader:
     def read_integer(
         self, element: etree._Element, attribute: str, default: int | None = None, minimum: int | None = None
     ) -> int:
-        """Read an attribute as one integer; raises `BatchSplitError` if the scenarios differ."""
+        """Read an attribute as one integer for all scenarios; raises `BatchSplitError` if their integers differ."""
         value = self.read_number(element, attribute, default)
         if not abs(value) < _MAX_INTEGER or value != round(value):
             raise self._error(element, attribute, f"is {value:g}, which is not a whole number that can be used")
@@ -132,7 +139,7 @@ class AttributeReader:
         return round(value)
 
     def read_text(self, element: etree._Element, attribute: str, default: str | None = None) -> str:
-        """Read an attribute as one text; raises `BatchSplitError` if the scenarios differ."""
+        """Read an attribute as one text for all scenarios; raises `BatchSplitError` if their texts differ."""
         text = element.get(attribute)
         if text is None:
             if default is None:
@@ -149,7 +156,7 @@ class AttributeReader:
         return format_value(value)
 
     def read_boolean(self, element: etree._Element, attribute: str, default: bool) -> bool:
-        """Read an attribute as one boolean; raises `BatchSplitError` if the scenarios differ."""
+        """Read an attribute as one boolean for all scenarios; raises `BatchSplitError` if their booleans differ."""
         text = self.read_text(element, attribute, "true" if default else "false")
         if text.lower() not in ("true", "false", "1", "0"):
             raise self._error(element, attribute, f"is '{text}', not true or false")
@@ -175,7 +182,7 @@ class AttributeReader:
         return text
 
     def _record_text_used_as_number(self, text: str, result: Any, element: _SourceElement, attribute: str) -> None:
-        """Note on the element which parameters with a text as value an expression uses as numbers."""
+        """Record on the element if the expression `text` calculates with parameters whose values are texts."""
         texts = [name for name in sorted(parameter_names_in(text)) if isinstance(self.parameter_values.get(name), str)]
         if texts and isinstance(element, etree._Element) and isinstance(result, float | np.floating | np.ndarray):
             note_adaptation(

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 
 class BatchSplitError(Exception):
-    """Error if the scenarios of a batch (simulated together) differ in an attribute that must be the same for all.
+    """Error if an attribute has different values in a batch of scenarios, but must have the same value in all.
 
-    The attribute depends on the varied parameters `parameter_names`: split the batch by their values.
+    A batch is simulated together. The attribute depends on the varied parameters `parameter_names`. Whoever catches the
+    error splits the batch, so that these parameters have equal values in each part.
     """
 
     def __init__(self, parameter_names: set[str]) -> None:

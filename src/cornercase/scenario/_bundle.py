@@ -15,8 +15,9 @@ from cornercase.scenario._file import ScenarioFile
 class ScenarioBundle:
     """Contents of a scenario file and of all files that it needs, as they were first read.
 
-    `files` maps paths relative to `common_folder` (with ``/``) to contents. `scenario_path` is the relative path of the
-    scenario file. `varied_roads` are the road files that a varied parameter can select, as written in the scenario.
+    `files` has the content of each file, by its path relative to `common_folder` (with ``/``). `scenario_path` is this
+    path of the scenario file. `varied_roads` are the road files that a varied parameter can select, as written in the
+    scenario.
     """
 
     common_folder: str
@@ -34,16 +35,16 @@ class ScenarioBundle:
         for file in contents:
             if not _is_named_relative_to(file, scenario.path.parent):
                 raise InputError(
-                    f"{scenario.path}: names {file} by an absolute path, which other machines do not have; name it"
-                    " relative to the scenario file."
+                    f"{scenario.path}: names {file} by an absolute path, but other machines have no such path;"
+                    " write the path relative to the scenario file."
                 )
         packed: dict[str, bytes] = {}
         for file, content in contents.items():
             # With symbolic links, equal normalized paths may be different files.
             if packed.setdefault(os.path.abspath(file), content) != content:
                 raise InputError(
-                    f"{scenario.path}: {file} stands for different files, depending on symbolic links; give each file"
-                    " its own path."
+                    f"{scenario.path}: because of symbolic links, two different files have the path {file};"
+                    " give each file its own path."
                 )
         try:
             folder = os.path.commonpath([os.path.dirname(path) for path in packed])

@@ -36,11 +36,11 @@ class Catalogs:
                     self._by_name.setdefault(name, []).append((file, catalog))
 
     def find_catalogs(self, name: str) -> list[etree._Element]:
-        """Return all catalogs that have a name, or whose file has this name."""
+        """Return all catalogs whose name is `name`, or whose file has this name without its extension."""
         return [element for _, element in self._by_name.get(name, ())]
 
     def find_entry_in_any_catalog(self, entry_name: str) -> etree._Element | None:
-        """Return the first entry with a name in any catalog, or None."""
+        """Return the first entry with the given name in any catalog; None if there is none."""
         for documents in self._by_name.values():
             for _, catalog in documents:
                 for element in iter_children_untracked(catalog):
@@ -52,7 +52,7 @@ class Catalogs:
     def find_entry(self, catalog_name: str, entry_name: str) -> etree._Element:
         """Return an entry of a catalog.
 
-        If several catalogs have this name, the catalog in a file of the same name is preferred.
+        If several catalogs of this name have the entry, prefer a catalog whose file has the name of the catalog.
         """
         if catalog_name not in self._by_name:
             raise InputError(

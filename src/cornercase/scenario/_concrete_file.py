@@ -89,7 +89,7 @@ def build_concrete_file(
 
 
 def _relocate_road_file(scenario: ScenarioFile, root: etree._Element) -> Iterator[tuple[Path, str, str]]:
-    """Make the scenario refer to a road file in its own folder, and yield that file for `ConcreteFile.companions`."""
+    """Change the path of the road file to its bare file name, and yield the item for `ConcreteFile.companions`."""
     logic_file = root.find("RoadNetwork/LogicFile")
     if logic_file is not None and logic_file.get("filepath"):
         holder, attribute = _find_path_attribute(root, logic_file, "filepath")
@@ -99,7 +99,7 @@ def _relocate_road_file(scenario: ScenarioFile, root: etree._Element) -> Iterato
 
 
 def _relocate_catalogs(scenario: ScenarioFile, root: etree._Element) -> Iterator[tuple[Path, str, str]]:
-    """Make the scenario refer to catalog folders next to it, and yield each catalog for `ConcreteFile.companions`."""
+    """Change catalog locations to subfolders of ``catalogs``; yield an item for `ConcreteFile.companions` per file."""
     folders: dict[str, Path] = {}
     for directory in root.iterfind("CatalogLocations//Directory"):
         holder, attribute = _find_path_attribute(root, directory, "path")
@@ -121,9 +121,10 @@ def _relocate_catalogs(scenario: ScenarioFile, root: etree._Element) -> Iterator
 
 
 def _find_path_attribute(root: etree._Element, element: etree._Element, attribute: str) -> tuple[etree._Element, str]:
-    """Return the element and attribute that hold a path: the given ones, unless the attribute names a parameter.
+    """Return the element and the attribute that hold a path.
 
-    For a parameter, return its declaration and ``value``.
+    These are `element` and `attribute`. If the attribute refers to a parameter, they are the declaration of this
+    parameter, and ``value``.
     """
     text = element.get(attribute, "")
     for declaration in root.iterfind("ParameterDeclarations/ParameterDeclaration"):
@@ -164,7 +165,7 @@ def _set_driver_property(scenario_object: etree._Element, driver: str, target: P
 
 
 def _remove_initial_controllers(root: etree._Element, entity: str) -> None:
-    """Remove the actions from ``Init`` that set a controller of an entity and would replace its chosen driver."""
+    """Remove the actions in ``Init`` that set a controller of an entity: they would replace the entity's new driver."""
     for private in root.findall("Storyboard/Init/Actions/Private"):
         if private.get("entityRef") == entity:
             for action in private.findall("PrivateAction"):
@@ -176,7 +177,10 @@ def _remove_initial_controllers(root: etree._Element, entity: str) -> None:
 
 
 def copy_companion_file(source: Path, target: Path, root_tag: str) -> None:
-    """Copy an XML file that a scenario needs, unless an identical copy exists; its root element must be `root_tag`."""
+    """Copy an XML file that a scenario needs, unless an identical copy exists.
+
+    Raises `InputError` if its root element does not have the tag `root_tag`.
+    """
     content = read_required_xml(source, root_tag)
     if target.exists() and target.read_bytes() == content:
         return
@@ -185,9 +189,10 @@ def copy_companion_file(source: Path, target: Path, root_tag: str) -> None:
 
 
 def read_required_xml(source: Path, root_tag: str) -> bytes:
-    """Return the content of an XML file that a scenario needs; refuse a file whose root element has another tag.
+    """Return the content of an XML file that a scenario needs.
 
-    The check matters for untrusted scenarios: they could name any file of this machine.
+    Raises `InputError` if its root element does not have the tag `root_tag`. Otherwise an untrusted scenario could have
+    any file of this machine copied.
     """
     if not source.is_file():
         raise InputError(f"{source}: the scenario needs this file, but it does not exist.")

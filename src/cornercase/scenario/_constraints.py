@@ -172,10 +172,11 @@ def find_constraint_violations(
     get_value: Callable[[str], Any],
     evaluate_bound: Callable[[str], Any],
 ) -> dict[str, BoolArray]:
-    """Return masks of the scenarios that violate constraints, shape (n_scenarios,), by violated parameter.
+    """Find the scenarios that violate constraints.
 
-    `get_value` returns the value of a parameter by its name. `evaluate_bound` returns the value of the text in a
-    constraint. Both values are scalars or have shape (n_scenarios,).
+    Return a mask of these scenarios, shape (n_scenarios,), for each parameter whose constraints are violated.
+    `get_value` takes the name of a parameter and returns its value. `evaluate_bound` takes the text on the right-hand
+    side of a constraint and returns its value. Values are scalars, or arrays of shape (n_scenarios,).
     """
     masks = {}
     for declaration in declarations:
@@ -191,7 +192,7 @@ def find_constraint_violations(
                 except ValueError:
                     raise InputError(
                         f"The constraint {format_constraints([constraint])} of the parameter {declaration.name} cannot"
-                        f" be checked, since not both values are of the type {declaration.type_name}."
+                        f" be checked, since the value or its bound is not of the type {declaration.type_name}."
                     ) from None
             fulfilled |= holds
         if not fulfilled.all():
@@ -243,7 +244,7 @@ def _require_known_rule(rule: str) -> str:
 
 
 def _apply_rule(rule: str, value: Any, bound: Any, type_name: str) -> Any:
-    """Compare a value with a bound, both as the declared type; raises `ValueError` if a conversion is impossible."""
+    """Compare a value with a bound; raises `ValueError` if one of them cannot be converted to the declared type."""
     if type_name not in NUMERIC_TYPES and not (
         type_name == "string" and rule not in _TEXT_RULES and _are_numbers(value, bound)
     ):

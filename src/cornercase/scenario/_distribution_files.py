@@ -28,7 +28,7 @@ def read_distribution_file(path: Path | str, cache: XmlFileCache | None = None) 
                 parameters.append(reader(element, str(path)))
     with add_location_to_input_errors(distribution, str(path)):
         if not parameters:
-            raise InputError(f"{path}: the file varies no parameter; add a distribution for at least one.")
+            raise InputError(f"{path}: the file varies no parameter; add a distribution for at least one parameter.")
         require_unique_names([name for p in parameters for name in p.assigned_names], str(path))
     return [_add_unit(parameter, distribution) for parameter in parameters]
 
@@ -44,9 +44,10 @@ def read_scenario_path(path: Path | str, cache: XmlFileCache | None = None) -> P
 
 
 def remove_from_value_sets(parameter: Parameter, names: set[str]) -> Parameter | None:
-    """Remove scenario parameters from the value sets of a parameter, so that they can be varied separately.
+    """Remove the scenario parameters `names` from the value sets of a varied parameter, to vary them separately.
 
-    A parameter without value sets is returned unchanged. None if the value sets become empty.
+    A value set has values of several scenario parameters that vary together. A parameter without value sets is returned
+    unchanged. Return None if nothing remains in the value sets.
     """
     if not parameter.value_sets:
         return parameter
@@ -61,12 +62,12 @@ def _find_distribution_element(path: Path | str, cache: XmlFileCache | None) -> 
     element = root.find("ParameterValueDistribution")
     if element is None:
         location = format_location(root, str(path))
-        raise InputError(f"{location}: <{root.tag}> has no <ParameterValueDistribution>; `space` takes such a file.")
+        raise InputError(f"{location}: <{root.tag}> has no <ParameterValueDistribution>; `space` needs one.")
     return element
 
 
 def _read_value_sets(element: Any, path: str) -> Parameter:
-    """Read scenario parameters that vary together, as one parameter with one choice for each set of values."""
+    """Read scenario parameters that vary together, as one varied parameter with a choice for each set of values."""
     sets = []
     for value_set in element.iterfind("ValueSetDistribution/ParameterValueSet"):
         members = [(e.get("parameterRef", "").lstrip("$"), e.get("value", "")) for e in value_set.iterchildren("*")]
@@ -74,7 +75,7 @@ def _read_value_sets(element: Any, path: str) -> Parameter:
     names = [name for name, _ in sets[0]] if sets else []
     if not names or any([name for name, _ in members] != names for members in sets):
         raise InputError(
-            f"{path}: each <ParameterValueSet> of a distribution must set the same parameters, at least one."
+            f"{path}: each <ParameterValueSet> must set at least one parameter, and all must set the same ones."
         )
     return _parameter_from_value_sets(tuple(dict.fromkeys(sets)))
 
@@ -107,7 +108,9 @@ def _read_single_distribution(element: Any, path: str) -> Parameter:
         if not choices:
             raise InputError(f"{where}: <DistributionSet> is empty.")
         return Parameter(name, 0.0, len(choices) - 1.0, None, choices)
-    raise InputError(f"{where}: only ranges and sets are read; a user-defined distribution is not.")
+    raise InputError(
+        f"{where}: needs a <DistributionRange> or a <DistributionSet>; user-defined distributions are not read."
+    )
 
 
 def _read_stochastic_distribution(element: Any, path: str) -> Parameter:
@@ -132,7 +135,7 @@ _READERS: Final[Mapping[str, Callable[[Any, str], Parameter]]] = {
 
 
 def _add_unit(parameter: Parameter, distribution: Any) -> Parameter:
-    """Set the unit from a property of the file that is named ``unit of NAME``."""
+    """Set the unit of a parameter from the property ``unit of NAME`` in the file header, if there is one."""
     properties = find_untracked(distribution.getparent(), "FileHeader", "Properties", "Property")
     item = find_by_name(properties, f"unit of {parameter.name}")
     return parameter if item is None else replace(parameter, unit=item.get("value", ""))

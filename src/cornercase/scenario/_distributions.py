@@ -1,4 +1,4 @@
-"""Probability distributions of OpenSCENARIO, as maps between the unit interval and values."""
+"""Probability distributions of OpenSCENARIO; their quantiles map the unit interval to parameter values."""
 
 from __future__ import annotations
 
@@ -25,9 +25,10 @@ _MAX_POISSON_VALUES: Final = 100_000
 class Distribution:
     """A probability distribution, truncated to the interval from `low` to `high`.
 
-    `shape_parameters` depend on `kind`: mean and standard deviation for ``"normal"``; mean and standard deviation of
-    the logarithm for ``"lognormal"``; the mean for ``"poisson"``; all edges followed by all weights for
-    ``"histogram"``; the weights for ``"set"``. ``"poisson"`` and ``"set"`` are discrete.
+    `shape_parameters` depend on `kind`: none for ``"uniform"``; mean and standard deviation for ``"normal"``; mean and
+    standard deviation of the logarithm for ``"lognormal"``; the mean for ``"poisson"``; all edges followed by all
+    weights for ``"histogram"``; the weights for ``"set"``. ``"poisson"`` and ``"set"`` are discrete; the values of a
+    ``"set"`` are the indices of its choices.
     """
 
     kind: str
@@ -41,7 +42,7 @@ class Distribution:
         return self.kind in ("poisson", "set")
 
     def quantiles(self, probabilities: FloatArray) -> FloatArray:
-        """Return the quantiles at probabilities, shape (n,); continuous distributions only."""
+        """Return the quantile of each probability, shape (n,); only for continuous distributions."""
         if self.kind == "uniform":
             return self.low + probabilities * (self.high - self.low)
         if self.kind == "histogram":
@@ -51,7 +52,7 @@ class Distribution:
         return np.clip(np.exp(x) if self.kind == "lognormal" else x, self.low, self.high)
 
     def cdf(self, value: float) -> float:
-        """Return the cumulative probability of a value; continuous distributions only."""
+        """Return the probability of values up to `value`; only for continuous distributions."""
         if self.kind == "uniform":
             return float(np.clip((value - self.low) / (self.high - self.low), 0.0, 1.0))
         if self.kind == "histogram":
@@ -62,7 +63,7 @@ class Distribution:
         return float(_truncated_normal(*self._truncated_normal_arguments()).cdf(value))
 
     def cumulative_probabilities(self) -> FloatArray:
-        """Return 0 and the cumulative probabilities of all n values, shape (n + 1,); discrete distributions only."""
+        """Return 0, followed by the cumulative probabilities of the n values; only for discrete distributions."""
         if self.kind == "set":
             return _cumulative_fractions(np.array(self.shape_parameters))
         return _cumulative_fractions(_poisson_probabilities(self.low, self.high, self.shape_parameters[0]))
@@ -92,7 +93,7 @@ def _truncated_normal(low: float, high: float, mean: float, deviation: float) ->
 
 
 def _poisson_probabilities(low: float, high: float, mean: float) -> FloatArray:
-    """Return the probability of each count from `low` to `high`."""
+    """Return the probability of each integer from `low` to `high`, not scaled to a sum of 1."""
     from scipy.special import gammaln, xlogy
 
     counts = np.arange(low, high + 1.0)
@@ -114,16 +115,18 @@ def distribution_from_json(data: Mapping[str, Any]) -> Distribution:
 
 
 def read_distribution(element: etree._Element, path: str) -> tuple[Distribution, tuple[str, ...]]:
-    """Read a ``StochasticDistribution``; also return the values of a probability set (else empty).
+    """Read a ``StochasticDistribution``; also return the choices of a probability set (empty for other kinds).
 
     The expected value and variance of a log-normal distribution are read as mean and variance of the logarithm, as in
-    the C++ standard library. If the file has no bounds, 0.01 % of the probability is cut off at each end.
+    the C++ standard library. A normal, log-normal or Poisson distribution without bounds in the file is truncated at
+    its 0.01 % and 99.99 % quantiles.
     """
     where = f"{path}, parameter {element.get('parameterName', '')}"
     law, choices = _read_unchecked_distribution(element, where)
     if not max(abs(law.low), abs(law.high)) <= _MAX_VALUE:
         raise InputError(
-            f"{where}: the distribution reaches from {law.low:g} to {law.high:g}; the largest value is {_MAX_VALUE:g}."
+            f"{where}: the distribution reaches from {law.low:g} to {law.high:g};"
+            f" values beyond ±{_MAX_VALUE:g} are refused."
         )
     if not law.is_discrete and not law.low < law.high:
         raise InputError(f"{where}: almost all values are {law.low:g}; increase the variance.")
@@ -196,7 +199,7 @@ def _read_poisson(element: etree._Element, location: str) -> Distribution:
     if not mean > 0:
         raise InputError(f"{location}: the expected value of a Poisson distribution must be above 0.")
     if mean > _MAX_VALUE:
-        raise InputError(f"{location}: the expected value is {mean:g}; the largest is {_MAX_VALUE:g}.")
+        raise InputError(f"{location}: the expected value is {mean:g}; it must be at most {_MAX_VALUE:g}.")
     if span is None:
         low, high = _default_poisson_bounds(mean)
     else:
@@ -210,7 +213,7 @@ def _read_poisson(element: etree._Element, location: str) -> Distribution:
     shares = _poisson_probabilities(low, high, mean)
     likely = np.flatnonzero(shares > _MIN_PROBABILITY * shares.sum())
     if likely.size == 0:
-        raise InputError(f"{location}: the range has almost no probability; move it to the expected value {mean:g}.")
+        raise InputError(f"{location}: the range has almost no probability; include the expected value {mean:g} in it.")
     return Distribution("poisson", low + float(likely[0]), low + float(likely[-1]), (mean,))
 
 

@@ -67,9 +67,10 @@ _CONSTANTS: Final[dict[str, bool | float]] = {"true": True, "false": False, "pi"
 
 
 def evaluate_expression(expression: str, values: Mapping[str, Operand]) -> Operand:
-    """Evaluate an expression (without ``${`` and ``}``) with parameter values; arrays in `values` broadcast.
+    """Evaluate an expression, given without ``${`` and ``}``.
 
-    If the expression has no value, as after a division by zero, the result is not finite.
+    `values` has a scalar or an array for each parameter; arrays broadcast. If the expression has no value, as after a
+    division by zero, the result is not finite.
     """
     if len(expression) > _MAX_CHARACTERS:
         raise InputError(f"An expression has {len(expression)} characters; at most {_MAX_CHARACTERS} are read.")
@@ -113,7 +114,7 @@ def _tokenize(expression: str) -> Iterator[tuple[str, str]]:
         match = _TOKEN.match(expression, position)
         if match is None:
             rest = expression[position:].strip()[:20]
-            raise InputError(f"The expression '{_shorten(expression)}' cannot be read at '{rest}'.")
+            raise InputError(f"The expression '{_shorten(expression)}' cannot be read from '{rest}' on.")
         position = match.end()
         kind = str(match.lastgroup)
         yield kind, match.group(kind)

@@ -58,7 +58,7 @@ class ScenarioFile:
     reads the files again, and raises `InputError` if they have changed.
 
     `varied_roads` are the additional road files that a varied parameter can select, written as in ``<LogicFile>``.
-    `cache` stores objects that other modules derive from the file, by their type.
+    `cache` has objects that other modules derived from the file, by the type of the object.
     """
 
     def __init__(self, path: Path | str, fingerprint: str | None = None, varied_roads: Sequence[str] = ()) -> None:
@@ -117,7 +117,10 @@ class ScenarioFile:
         self._files.update(files)
 
     def used_elements(self) -> list[tuple[Path, etree._Element]]:
-        """Return path and root element of each parsed file; for a catalog file, path and element of each used entry."""
+        """Return a path and an element for each parsed file: its root element.
+
+        For a catalog file, return a pair for each used catalog entry instead.
+        """
         parts = []
         for path, root in self._files.parsed_roots().items():
             catalog = etree.ElementBase.find(root, "Catalog") if root.tag == "OpenSCENARIO" else None
@@ -158,7 +161,7 @@ class ScenarioFile:
         _ = self.entities
 
     def _refuse_repeated_blocks(self, root: etree._Element) -> None:
-        """Refuse a block that is repeated although it may occur only once: tools disagree which copy counts."""
+        """Raise `InputError` if an element such as ``Storyboard`` occurs twice: tools disagree which one counts."""
         for *parents, tag in _UNIQUE_BLOCKS:
             blocks = [
                 block
@@ -174,11 +177,11 @@ class ScenarioFile:
 
     @property
     def has_left_handed_axes(self) -> bool:
-        """True if positions are in CARLA's left-handed axes; the axes of the road file are right-handed."""
+        """True if the scenario has positions in CARLA's left-handed axes; road files have right-handed axes."""
         return find_left_handed_header(self.root) is not None
 
     def left_handed_axes_notices(self) -> tuple[Notice, ...]:
-        """Return a notice that positions are mirrored if the axes are left-handed; otherwise empty."""
+        """Return a notice that positions are mirrored; empty if the axes of the scenario are right-handed."""
         header = find_left_handed_header(self.root)
         if header is None:
             return ()
@@ -220,9 +223,9 @@ class ScenarioFile:
 
     @cached_property
     def drivers(self) -> dict[str, str]:
-        """Drivers that controllers request by the property ``cornercase.driver``, by entity.
+        """For each entity, the driver that its controller requests by the property ``cornercase.driver``.
 
-        Entities whose controller requests no driver are missing.
+        Entities without such a controller are left out.
         """
         drivers = {e.get("name", ""): self._requested_driver(e) for e in self.root.iterfind("Entities/ScenarioObject")}
         return {name: driver for name, driver in drivers.items() if driver is not None}
@@ -230,7 +233,8 @@ class ScenarioFile:
     def may_have_driver(self, entity: str) -> bool:
         """Return whether the file may give an entity a driver of cornercase, at the start or in the storyboard.
 
-        A storyboard action that assigns a catalog controller, or a controller with a driver, counts for every entity.
+        If a storyboard action assigns a controller with a driver, or any controller of a catalog, return True for every
+        entity.
         """
         # Iterating over all elements does not mark them as used.
         actions = (element for element in self.root.iter() if element.tag == "AssignControllerAction")
@@ -261,14 +265,14 @@ class ScenarioFile:
         return None
 
     def require_entity(self, name: str, role: str) -> None:
-        """Raise `InputError` if no entity has this name; `role` is its intended role, for the message."""
+        """Raise `InputError` if no entity has the given name; the message says that it is to be the `role`."""
         if name not in self.entities:
             raise InputError(
                 f"{self.path}: has no entity '{name}' to be the {role}; {suggest_name(name, self.entities)}"
             )
 
     def require_declared(self, names: tuple[str, ...] | list[str]) -> None:
-        """Raise `InputError` for a name that is neither a declared parameter nor an option of an entity's driver."""
+        """Raise `InputError` if a name is neither a declared parameter nor a driver option, ``ENTITY.OPTION``."""
         for name in names:
             if name in self.parameters or self.parse_driver_option_names([name]):
                 continue
@@ -278,7 +282,7 @@ class ScenarioFile:
             raise InputError(f"{self.path}: declares no parameter '{name}'{also}; {suggest_name(name, possible)}")
 
     def parse_driver_option_names(self, names: Iterable[str]) -> dict[str, tuple[str, str]]:
-        """Return entity and option for each name of a driver option, such as ``Ego.reaction``.
+        """Return entity and option for each name of the form ``ENTITY.OPTION``, an option of the entity's driver.
 
         Other names, and names that the file declares as parameters, are left out.
         """
@@ -291,9 +295,10 @@ class ScenarioFile:
         return targets
 
     def resolve_path(self, reference: str, description: str) -> Path:
-        """Return a path as written in the scenario file, resolved from the folder of this file.
+        """Resolve a path that is relative to the folder of the scenario file.
 
-        `description` names the path in messages. Raises `InputError` for network addresses and invalid file names.
+        `reference` is the path as written in the file. `description` says in messages what the path is for. Raises
+        `InputError` for network addresses and invalid file names.
         """
         if (
             any(len(part.encode()) > _MAX_FILE_NAME_BYTES for part in Path(reference).parts)
@@ -307,7 +312,7 @@ class ScenarioFile:
     def find_catalog_entry(self, catalog_name: str, entry_name: str) -> etree._Element:
         """Return an entry of a catalog.
 
-        For an agent profile of openPASS, return the vehicle that replaces the profile.
+        If the catalog is the profiles file of openPASS, return the catalog vehicle that replaces the agent profile.
         """
         file = profiles_file_name(catalog_name)
         return (
@@ -317,18 +322,19 @@ class ScenarioFile:
         )
 
     def scope(self, values: Sequence[Mapping[str, Value]]) -> Scope:
-        """Create the scope (parameter values for reading attributes) of concrete scenarios with these values."""
+        """Return a reader of attributes for concrete scenarios; `values` has the parameter values of each scenario."""
         return Scope.from_file(str(self.path), self.root, values, self.find_catalog_entry)
 
     def _vehicle_of_agent_profile(self, profiles_path: Path, profile: str) -> etree._Element:
-        """Return the catalog vehicle that is the most probable vehicle model of an agent profile of openPASS."""
+        """Return the catalog entry of the most probable vehicle model of an openPASS agent profile."""
         description = (
             f"'{profile}' of {profiles_path.name} is an agent profile of openPASS, a vehicle with a driver and sensors"
         )
         hint = "use a vehicle of an OpenSCENARIO catalog"
         if not profiles_path.is_file():
             raise InputError(
-                f"{self.path}: {description}, but the file is not next to the scenario; put it there, or {hint}."
+                f"{self.path}: {description}, but {profiles_path.name} is not next to the scenario; put it there,"
+                f" or {hint}."
             )
         profiles = self._files.get_root(profiles_path)
         models = vehicle_models_of_profile(profiles, profile)
@@ -338,7 +344,7 @@ class ScenarioFile:
                 f" {suggest_name(profile, agent_profile_names(profiles))}"
             )
         if not models:
-            raise InputError(f"{self.path}: {description}, but has no vehicle model; {hint}.")
+            raise InputError(f"{self.path}: {description}, but this profile has no vehicle model; {hint}.")
         entry = self._catalogs.find_entry_in_any_catalog(models[0])
         if entry is None:
             raise InputError(f"{self.path}: {description}; its vehicle model '{models[0]}' is in no catalog; {hint}.")
@@ -350,7 +356,7 @@ class ScenarioFile:
         return Catalogs(self.path, ((file, self._files.get_root(file)) for file in self._catalog_files))
 
     def catalog_files(self) -> list[Path]:
-        """Return all files in the catalog locations, location by location, sorted by name within each."""
+        """Return the catalog files of all catalog locations: location by location, and each location sorted by name."""
         return list(self._catalog_files)
 
     @cached_property
@@ -370,27 +376,37 @@ class ScenarioFile:
 
     @cached_property
     def profiles_files(self) -> tuple[Path, ...]:
-        """Path of openPASS's ``ProfilesCatalog.xml``, which may be missing; empty if the scenario does not use it."""
+        """Path of openPASS's ``ProfilesCatalog.xml``, even if it does not exist; empty if no agent profile is used."""
         return (self.path.with_name(PROFILES_FILE),) if uses_agent_profiles(self._unchecked_root) else ()
 
     def road_file_as_written(self) -> str:
-        """Return the road file as written in the scenario: a path, a parameter (``"$Road"``) or an empty text."""
+        """Return the text by which the scenario names its road file: a path, or a parameter such as ``"$Road"``.
+
+        The text is empty if the scenario names no road file.
+        """
         file = self._unchecked_root.find("RoadNetwork/LogicFile")
         return "" if file is None else file.get("filepath", "")
 
     def road_path_for(self, values: Mapping[str, Value] | None = None) -> Path | None:
-        """Return the path of the road file for parameter values (default: declared values); None without road file."""
+        """Return the path of the road file; None if the scenario names none.
+
+        If a parameter selects the road file, its value is that of `values`, or else its declared value.
+        """
         reference = self.road_reference_for(values)
         return self.road_path(reference) if reference else None
 
     def road_reference_for(self, values: Mapping[str, Value] | None = None) -> str:
-        """Return the road file as written in the scenario, with parameters replaced; empty without road file."""
+        """Return the text by which the scenario names its road file, with a parameter replaced by its value.
+
+        The value is that of `values`, or else the declared value. The text is empty if no road file is named.
+        """
         return self._replace_parameter(self.road_file_as_written(), values or {})
 
     def road_path(self, reference: str) -> Path:
         """Return the path of a road file that is written as `reference` in the scenario.
 
-        If the file does not exist, a map with that name is used, from the scenario's folder or the map folders.
+        If that file does not exist, return the road file of the map with this name, if the scenario's folder or a map
+        folder has one.
         """
         if reference in self._found_roads:
             return self._found_roads[reference]
@@ -420,7 +436,7 @@ class ScenarioFile:
         return self._describe_road_as_missing(reference) if reference else ""
 
     def first_missing_road_file(self) -> str:
-        """Return the first missing road file as written in the scenario; empty if no road file is missing."""
+        """Return the first road file that does not exist, as written in the scenario; empty if all exist."""
         references = (self.road_reference_for(), *self._varied_roads)
         return next((reference for reference in references if reference and not self.road_path(reference).exists()), "")
 
@@ -429,9 +445,10 @@ class ScenarioFile:
         return f"there is no road file {description}; {describe_how_to_get_map(reference)}"
 
     def road_path_without_map_folders(self, path: Path) -> Path:
-        """Return the path of a road file in a copy of the scenario that needs no map folders.
+        """Return where a road file belongs in a copy of the scenario that works without map folders.
 
-        A file from a map folder moves to the folder of the scenario. Any other path is returned unchanged.
+        For a road file that was found by the name of a map, return a path in the folder of the scenario. Return any
+        other path unchanged.
         """
         references = (self.road_reference_for(), *self._varied_roads)
         reference = next((name for name in references if name and self.road_path(name) == path), "")

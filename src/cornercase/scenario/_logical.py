@@ -38,12 +38,13 @@ class ConcreteScenario:
     path : Path
         OpenSCENARIO file.
     values : mapping of str to float or str
-        Parameters that differ from the defaults of the file, and options of drivers as ``"Ego.reaction"``.
+        Values of the parameters that differ from the defaults of the file, and of driver options, such as
+        ``"Ego.reaction"``.
     file : ScenarioFile, optional
         The parsed file; by default it is read when the scenario runs.
     seed : int, default 0
-        Seed of the random numbers in this run. Together with the parameter values it gives the random numbers of
-        sensors and systems under test.
+        Seed of the random numbers in this run. The seed and the parameter values together determine the random
+        numbers of sensors and systems under test.
 
     Examples
     --------
@@ -105,7 +106,7 @@ class ConcreteScenario:
         return self if self.file is None else replace(self, values=_evaluate_all_parameters(self.file, self.values))
 
     def without_driver_parameters(self, entity: str) -> ConcreteScenario:
-        """Return the scenario without the parameters of an entity's driver, so that another driver can drive it.
+        """Return the scenario without the driver options of an entity, so that the entity can have another driver.
 
         Parameters
         ----------
@@ -186,8 +187,9 @@ class LogicalScenario:
         space : path, optional
             ParameterValueDistribution file. Without `space` and `ranges`, nothing is varied until `vary` is called.
         ranges : sequence of str or mapping
-            ``["NAME=LOW:HIGH[:STEP]"]`` or ``{"NAME": (LOW, HIGH)}``; added to the space, or replacing its range of
-            the same name. NAME is a declared parameter, or an option of an entity's driver: ``Ego.reaction=0.1:0.6``.
+            ``["NAME=LOW:HIGH[:STEP]"]`` or ``{"NAME": (LOW, HIGH)}``. NAME is a declared parameter, or an option of an
+            entity's driver, as in ``Ego.reaction=0.1:0.6``. A range is added to the space; if the space already varies
+            NAME, the range replaces its values.
         continuous : bool, default False
             Treat ranges with steps as continuous.
 
@@ -228,8 +230,8 @@ class LogicalScenario:
     def _from_space(cls, file: ScenarioFile, space: ParameterSpace) -> Self:
         """Create a logical scenario from a file and a space.
 
-        The file must declare all varied parameters. Their types and constraints, and the road files that they can
-        select, are added.
+        Each varied parameter must be declared in the file, or be an option of an entity's driver. The declared types
+        and constraints are added to the space. The road files that the parameters can select are added to the file.
         """
         file.require_declared(list(space.assigned_names))
         declarations = read_declarations(file.root, str(file.path))
@@ -294,7 +296,8 @@ class LogicalScenario:
         Parameters
         ----------
         values : mapping of str to float or str
-            Values by parameter name; all other parameters have the defaults of the file.
+            Values by name of a declared parameter, or of an option of an entity's driver, as ``"Ego.reaction"``. All
+            other parameters have the defaults of the file.
         seed : int, default 0
             Seed of the random numbers in this run.
 
@@ -305,7 +308,8 @@ class LogicalScenario:
         Raises
         ------
         InputError
-            The file declares no such parameter, or a value does not have the declared type.
+            A name is neither a declared parameter nor an option of an entity's driver, or a value does not have the
+            declared type.
         """
         given = check_parameter_values("values", values)
         self.scenario_file.require_declared(list(given))
@@ -318,7 +322,7 @@ class LogicalScenario:
 def _evaluate_all_parameters(scenario: ScenarioFile, assigned: Mapping[str, Value]) -> dict[str, Value]:
     """Return the assigned or default value of each declared parameter, converted to its declared type.
 
-    Assigned values of names that the file does not declare, such as options of drivers, stay as they are.
+    Also return the assigned values of names that the file does not declare, such as options of drivers, unconverted.
     """
     declarations = {
         declaration.name: declaration for declaration in read_declarations(scenario.root, str(scenario.path))

@@ -28,11 +28,14 @@ def is_network_address(text: str) -> bool:
 
 @contextmanager
 def use_map_folders(folders: Sequence[Path]) -> Iterator[None]:
-    """Search `folders` first for maps (road files known by name) within a ``with`` block, also in child processes."""
+    """Within a ``with`` block, search `folders` first for maps (road files that scenarios refer to by name).
+
+    This also holds in child processes that start within the block.
+    """
     for folder in folders:
         _require_folder("`maps`", str(folder))
         if os.pathsep in str(folder):
-            raise InputError(f"`maps` {folder}: has '{os.pathsep}' in its name, which separates folders; rename it.")
+            raise InputError(f"`maps` {folder}: '{os.pathsep}' in its name would separate two folders; rename it.")
     previous = os.environ.get(MAPS_VARIABLE)
     read_map_folders()
     if folders:
@@ -78,7 +81,7 @@ def map_name(reference: str) -> str:
 
 
 def describe_how_to_get_map(reference: str) -> str:
-    """Describe how the user can provide a missing road file, as a part of a sentence."""
+    """Return a part of a sentence that tells the user how to provide a missing road file."""
     name = map_name(reference).removesuffix(_LAYERED_MAP_SUFFIX)
     options = f"name its folder by --maps FOLDER or in the environment variable {MAPS_VARIABLE}"
     if _CARLA_MAP_NAME.fullmatch(name):

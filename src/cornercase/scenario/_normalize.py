@@ -1,4 +1,4 @@
-"""Correct OpenSCENARIO files that violate the standard but have only one possible meaning."""
+"""Correct OpenSCENARIO files where they violate the standard but can only mean one thing."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ _UNLIMITED_COUNT: Final = "999999999"
 
 
 def normalize_openscenario(root: etree._Element) -> None:
-    """Correct unambiguous violations of the standard in place, and note each correction on its element.
+    """Correct violations of the standard in place where the meaning is clear; record each correction on its element.
 
     Scenarios, catalogs and parameter distributions are corrected. Other files stay as they are.
     """
@@ -240,7 +240,7 @@ def _add_or_rename_attributes(element: etree._Element) -> None:
 
 
 def _match_allowed_value(value: str, allowed: tuple[str, ...]) -> str | None:
-    """Return the allowed value that a misspelled value stands for; None if that is not clear."""
+    """Return the allowed value that a misspelled value means; None if the meaning is not clear."""
     letters = re.sub("[^a-z]", "", value.lower())
     if letters in _SYNONYMS and _SYNONYMS[letters] in allowed:
         return _SYNONYMS[letters]
@@ -265,6 +265,9 @@ def _record_change(element: etree._Element, subject: str, change: str, rule: str
 
 
 def _elements_to_annotate(element: etree._Element) -> Iterator[etree._Element]:
-    """Yield the elements to note a correction on: the element itself, or all entries if it is a catalog file's root."""
+    """Yield the elements on which to record a correction of an element.
+
+    This is the element itself. For the root of a catalog file, it is each catalog entry.
+    """
     catalog = None if element.getparent() is not None else etree.ElementBase.find(element, "Catalog")
     yield from (element,) if catalog is None else etree.ElementBase.iterchildren(catalog, etree.Element)

@@ -17,7 +17,7 @@ _CATALOG_REFERENCE_RULE: Final = "a CatalogReference names a catalog of OpenSCEN
 
 
 def profiles_file_name(catalog_name: str) -> str:
-    """Return the name of the profiles file of openPASS if a catalog name refers to it; otherwise an empty text."""
+    """Return the name of openPASS's profiles file if `catalog_name` refers to this file; otherwise an empty text."""
     return PROFILES_FILE if catalog_name in (PROFILES_FILE, Path(PROFILES_FILE).stem) else ""
 
 
@@ -52,12 +52,12 @@ def vehicle_models_of_profile(profiles: etree._Element, profile_name: str) -> li
 
 
 def agent_profile_names(profiles: etree._Element) -> list[str]:
-    """Return the names of the agent profiles in openPASS's file."""
+    """Return the names of the agent profiles in openPASS's profiles file."""
     return [_name_attribute(profile) for profile in profiles.iterfind("AgentProfiles/AgentProfile")]
 
 
 def record_profile_replacement(root: etree._Element, profile_name: str, models: list[str]) -> None:
-    """Note that the first of `models` replaces an agent profile, on each element that refers to the profile."""
+    """Record on each element that refers to an agent profile: the first of `models` replaces the profile."""
     choice = f", the most probable of {len(models)}" if len(models) > 1 else ""
     reason = (
         f"names the agent profile '{profile_name}' of openPASS, a vehicle with a driver and sensors; only its vehicle"
@@ -80,7 +80,7 @@ def profiles_file_notice(profiles: etree._Element, file: Path) -> Notice:
 
 
 def profile_controller_notices(root: etree._Element, file: Path) -> tuple[Notice, ...]:
-    """Return a notice on the controllers in a scenario that are agent profiles of openPASS; empty if there are none."""
+    """Return a notice if controllers in a scenario refer to agent profiles of openPASS; otherwise empty."""
     properties = [
         item for item in iter_descendants_untracked(root, "Property") if item.attrib.get("name") == "AgentProfile"
     ]

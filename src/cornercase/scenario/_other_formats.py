@@ -27,7 +27,7 @@ _OPENPASS_ROOTS: Final = {
 
 
 def describe_non_xml_format(data: bytes) -> str:
-    """Describe the format of a file that is not XML, as a part of a sentence; empty if it is not recognized."""
+    """Return a part of a sentence on the format of a file that is not XML; empty if the format is not recognized."""
     head = data[:_MAX_BYTES_SEARCHED].removeprefix(b"\xef\xbb\xbf").lstrip()
     if head.startswith(b"<") or not _DSL_STATEMENT.search(head):
         return ""
@@ -38,7 +38,7 @@ def describe_non_xml_format(data: bytes) -> str:
 
 
 def describe_other_xml_format(root: etree._Element) -> str:
-    """Describe an XML format other than OpenSCENARIO 1.x, as a part of a sentence; empty if it is not recognized."""
+    """Return a part of a sentence on an XML format other than OpenSCENARIO 1.x; empty if it is not recognized."""
     tag = str(root.tag).rpartition("}")[2]
     if tag in _OPENPASS_ROOTS:
         return f"<{tag}> {_OPENPASS_ROOTS[tag]}; give the scenario, Scenario.xosc beside it"
@@ -51,7 +51,7 @@ def describe_other_xml_format(root: etree._Element) -> str:
 
 
 def record_later_version(root: etree._Element) -> None:
-    """Note on the file header if the version of the file is later than the supported versions."""
+    """Record on the file header if the file has a later version of OpenSCENARIO than those that are supported."""
     minor = later_minor_version(root)
     for header in find_untracked(root, "FileHeader") if minor is not None else ():
         reason = (
@@ -62,7 +62,7 @@ def record_later_version(root: etree._Element) -> None:
 
 
 def later_minor_version(root: etree._Element) -> int | None:
-    """Return the minor version of a file if it is later than the supported versions, else None."""
+    """Return the minor version of a file if its version is later than the supported versions, else None."""
     for header in find_untracked(root, "FileHeader"):
         major, minor = (str(header.attrib.get(name, "")).strip() for name in ("revMajor", "revMinor"))
         if (

@@ -1,4 +1,4 @@
-"""A varied parameter: its values, and their positions in the unit interval."""
+"""Varied parameters: each value has a position in the unit interval."""
 
 from __future__ import annotations
 
@@ -25,25 +25,26 @@ _MAX_STEPS: Final = 2.0**53
 class Parameter:
     """A varied parameter.
 
-    Each value has a position in the unit interval, from 0 to 1. Each step or choice covers a part of the interval.
+    Each value has a position in the unit interval, from 0 to 1. In a range with steps, and for choices, each value
+    covers a part of the interval.
 
     Attributes
     ----------
     name : str
     low, high : float
-        Bounds of the range. For choices, 0 and the number of choices minus 1.
+        Bounds of the range. For choices: 0, and the number of choices minus 1.
     step : float or None
         The values are low, low + step, … up to `high`. None for a continuous range.
     choices : tuple of str
-        The values, if they are a set; empty for a range.
+        The possible values if they are a set of texts; empty for a range.
     unit : str
         Unit for tables and axes; empty if unknown.
     distribution : Distribution or None
-        Distribution of the values; None means uniform. Its inverse distribution function maps the unit interval to
-        values, so likely values cover a larger part of the interval.
+        Probability distribution of the values; None means uniform. A position in the unit interval is a cumulative
+        probability, so likely values cover a larger part of the interval.
     value_sets : tuple of tuple of (str, str)
-        For each choice, the names and values of the scenario parameters that it sets together. Empty if a choice sets
-        only the scenario parameter called `name`.
+        For each choice, the names and values of all scenario parameters that the choice sets. Empty if a choice sets
+        only one scenario parameter, which is called `name`.
     is_integer : bool
         Whether the scenario declares the values of a range as integers.
 
@@ -154,7 +155,7 @@ class Parameter:
         Returns
         -------
         float or str
-            The choice, if the choices set several scenario parameters together.
+            If the choices set several scenario parameters together: the choice that sets the given values.
 
         Raises
         ------
@@ -166,7 +167,7 @@ class Parameter:
         for choice, members in zip(self.choices, self.value_sets, strict=True):
             if all(str(values.get(name)) == value for name, value in members):
                 return choice
-        raise InputError(f"No value set of the varied parameters {self.name} has the values of the scenario.")
+        raise InputError(f"The varied parameters {self.name} have no set of values that are those of the scenario.")
 
     def extract_number(self, values: Mapping[str, Value]) -> float:
         """Return the value of this parameter in a concrete scenario, as a number.
@@ -178,7 +179,7 @@ class Parameter:
         Returns
         -------
         float
-            For choices the index, from 0.
+            For choices: the index of the choice, from 0.
 
         Raises
         ------
@@ -230,7 +231,8 @@ class Parameter:
         Returns
         -------
         float
-            For a step or choice, the middle of its part of the interval. Values out of bounds are clipped.
+            For a value in steps, or a choice, the middle of the part of the interval that it covers. Values outside
+            the range are clipped.
 
         Raises
         ------
@@ -251,7 +253,7 @@ class Parameter:
         return float(np.clip((x - self.low) / (self.high - self.low), 0.0, 1.0))
 
     def level_indices(self, unit_positions: FloatArray) -> IntArray:
-        """Return the index of the step or choice at each position of the unit interval.
+        """Return the index of the step or choice that covers each position of the unit interval.
 
         Parameters
         ----------
@@ -290,7 +292,7 @@ class Parameter:
 
     @cached_property
     def _level_edges(self) -> FloatArray | None:
-        """Edges of the parts of the unit interval that steps or choices cover, shape (size + 1,).
+        """Edges of the parts of the unit interval that the steps or choices cover, shape (size + 1,).
 
         None for a continuous range, or if all parts have the same length.
         """

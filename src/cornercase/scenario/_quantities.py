@@ -11,8 +11,9 @@ from typing import Final
 class Quantity:
     """A physical quantity: its unit, its smallest allowed value, and the width of proposed ranges.
 
-    The proposed range is the value ± `half_width`. If `half_width` is 0, it is the value ± `relative_width` times the
-    value; for a value of 0 it is ± `half_width_at_zero`. `minimum` is the smallest value that the standard allows.
+    A range is proposed around the value in the file: value ± `half_width`. If `half_width` is 0, the range is value ±
+    `relative_width` times value. If the value is 0, too, the range is ± `half_width_at_zero`. `minimum` is the smallest
+    value that the standard allows.
     """
 
     unit: str = ""
@@ -23,7 +24,7 @@ class Quantity:
     is_integer: bool = False
 
     def propose_range(self, value: float, minimum: float | None, maximum: float | None) -> tuple[float, float] | None:
-        """Propose a range around a value within bounds; None if there is no range that contains the value."""
+        """Propose a range around a value that stays within `minimum` and `maximum`; None if there is no such range."""
         reach = self.half_width or abs(value) * self.relative_width or self.half_width_at_zero
         if self.is_integer:
             low, high = value - round(reach), value + round(reach)
@@ -38,7 +39,7 @@ class Quantity:
 
 
 def _round_range_bound(value: float, half_width: float) -> float:
-    """Round a bound to about two digits of the half width, so that the range is easy to read."""
+    """Round a bound so that a range with this half width is easy to read: to about two digits of the half width."""
     digits = 1
     while digits < 6 and half_width * 10**digits < 50.0:
         digits += 1

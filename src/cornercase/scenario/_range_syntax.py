@@ -19,7 +19,10 @@ _RANGE_PATTERN = re.compile(r"(?P<name>[^=]+)=(?P<low>[^:]+):(?P<high>[^:]+)(?::
 
 
 def format_ranges(ranges: object) -> tuple[str, ...]:
-    """Return ranges as texts ``NAME=LOW:HIGH[:STEP]``; `ranges` are such texts, or bounds by name."""
+    """Return ranges as texts ``NAME=LOW:HIGH[:STEP]``.
+
+    `ranges` are such texts, or a mapping of parameter names to bounds, ``(LOW, HIGH)`` or ``(LOW, HIGH, STEP)``.
+    """
     if not isinstance(ranges, Mapping):
         return check_str_sequence("ranges", ranges)
     texts = []
@@ -31,7 +34,7 @@ def format_ranges(ranges: object) -> tuple[str, ...]:
 
 
 def parse_ranges(texts: Sequence[str], option: str = "ranges") -> list[Parameter]:
-    """Read ``NAME=LOW:HIGH[:STEP]`` texts; `option` names the user's option in messages."""
+    """Read ``NAME=LOW:HIGH[:STEP]`` texts; messages say that they come from the argument or option `option`."""
     parameters = [_parse_range(text, f"`{option}` {text}") for text in texts]
     require_unique_names([parameter.name for parameter in parameters], f"`{option}`")
     return parameters
@@ -56,13 +59,13 @@ def create_range(
 ) -> Parameter:
     """Create a parameter with a range; raises `InputError` if the range is invalid.
 
-    With `may_be_fixed` the bounds may be equal; the range then has a step and a single value.
+    If `may_be_fixed` is set, the bounds may be equal: the parameter then has a single value.
     """
     if not (np.isfinite(low) and np.isfinite(high)):
         raise InputError(f"{location}: the bounds of {name} must be finite.")
     if max(abs(low), abs(high)) > _MAX_BOUND:
         raise InputError(
-            f"{location}: the bounds of {name} are {low:g} and {high:g}; the largest value is {_MAX_BOUND:g}."
+            f"{location}: the bounds of {name} are {low:g} and {high:g}; bounds beyond ±{_MAX_BOUND:g} are refused."
         )
     if may_be_fixed and low == high:
         return Parameter(name, low, high, step or 1.0)

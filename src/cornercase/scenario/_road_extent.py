@@ -16,13 +16,13 @@ _TOLERANCE = 1e-6
 
 @dataclass(frozen=True)
 class RoadExtent:
-    """Length of a road in m, and its lane sections: each has its start in m, and lane types by lane number."""
+    """Length of a road in m, and its lane sections: pairs of a start in m, and the lane types by lane number."""
 
     length: float
     sections: tuple[tuple[float, dict[int, str]], ...]
 
     def lane_interval(self, lane: int, s: float) -> tuple[float, float]:
-        """Return the longest interval around position `s` (in m) in which the lane exists without interruption.
+        """Return start and end (in m) of the longest interval around `s` in which the lane exists without interruption.
 
         Return the whole road if the lane does not exist at `s`.
         """
@@ -38,14 +38,14 @@ class RoadExtent:
         return self.sections[first][0], end
 
     def lanes_at(self, s: float) -> frozenset[int]:
-        """Return the lane numbers at position `s` (in m), without the center lane."""
+        """Return the lane numbers at position `s` (in m), without the center lane 0."""
         section = self._section_index(s)
         return frozenset() if section is None else frozenset(self.sections[section][1])
 
     def adjacent_lanes_of_same_type(self, lane: int, s: float) -> tuple[int, int] | None:
-        """Return the range of lane numbers around `lane` at `s` (in m) in which all lanes have the same type.
+        """Return the lowest and highest number of the lanes next to each other that have the same type as `lane`.
 
-        The range is (lowest, highest), on one side of the road. None if the lane does not exist at `s`.
+        The lanes are those at position `s` (in m), on the side of the road of `lane`. None if there is no `lane`.
         """
         section = self._section_index(s)
         lanes = {} if section is None else self.sections[section][1]

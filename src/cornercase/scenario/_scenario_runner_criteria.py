@@ -17,7 +17,7 @@ _PARAMETER_CONDITION_RULE: Final = "a ParameterCondition refers to a declared pa
 
 @dataclass(frozen=True)
 class ScenarioRunnerCriterion:
-    """A criterion of ScenarioRunner, such as ``"CollisionTest"``; `threshold` is None if the file gives none."""
+    """A pass/fail criterion of ScenarioRunner, such as ``"CollisionTest"``; `threshold` is None if none is given."""
 
     name: str
     threshold: float | None
@@ -47,10 +47,10 @@ def find_requested_criterion(element: etree._Element) -> str:
 
 
 def is_condition_never_true(element: etree._Element, parameter_name: str) -> bool:
-    """Check whether a condition on an undeclared parameter is deliberate and never true.
+    """Return whether a condition on an undeclared parameter is no mistake, but a condition that is never true.
 
-    If so, note that on the element. Such conditions request a criterion of ScenarioRunner, or refer to no parameter at
-    all.
+    Such a condition requests a criterion of ScenarioRunner, or refers to no parameter at all. If the condition is never
+    true, record that on the element.
     """
     for attribute in ("value", "rule"):
         element.get(attribute)

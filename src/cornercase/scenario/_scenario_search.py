@@ -20,11 +20,11 @@ _MAX_ENTRIES: Final = 1000
 def find_scenario_file(
     file_name: str, fingerprint: str, folders: Iterable[Path], space: ParameterSpace
 ) -> tuple[ScenarioFile | None, list[Path]]:
-    """Search folders, down to two levels below them, for the scenario file with a fingerprint.
+    """Search folders, down to two levels below them, for the scenario file with the given fingerprint.
 
-    Return the scenario, or None, and the searched files that have the same name but other content. Directly in
-    `folders`, a file of any name can match. `file_name` is only compared with names in these folders, and never opened
-    as a path.
+    Return the scenario (None if it is not found), and the files that have the given name but another fingerprint.
+    Directly in `folders`, any ``.xosc`` file can match; below, only files with the given name. `file_name` is only
+    compared with the names of files, and never opened as a path, since a study may be untrusted.
     """
     changed: list[Path] = []
     for folder in folders:
@@ -46,7 +46,7 @@ def read_if_fingerprint_matches(path: Path, fingerprint: str, space: ParameterSp
 
 
 def find_files_below(folder: Path, file_name: str) -> Iterator[Path]:
-    """Yield the files with a name in a folder and down to two levels below it, the nearest first."""
+    """Yield the files with the given name in a folder and down to two levels below it, the upper levels first."""
     return (file for file in _candidate_files(file_name, folder) if file.name == file_name)
 
 

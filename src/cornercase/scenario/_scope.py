@@ -37,10 +37,10 @@ _MAX_REFERENCE_DEPTH = 20
 
 
 class Scope(AttributeReader):
-    """Values of parameters in N concrete scenarios, for the evaluation of attributes.
+    """Reader of attributes that knows the parameter values of N concrete scenarios.
 
-    `catalog_lookup` returns a catalog entry for the names of a catalog and an entry. If `left_handed` is set, positions
-    are mirrored when they are read, so that they are in the axes of the road file.
+    `catalog_lookup` takes the name of a catalog and the name of an entry, and returns the entry. If `left_handed` is
+    set, positions are in left-handed axes; reading mirrors them, so that they are in the axes of the road file.
     """
 
     def __init__(
@@ -65,7 +65,7 @@ class Scope(AttributeReader):
         scenario_values: Sequence[Mapping[str, Value]],
         catalog_lookup: CatalogLookup | None = None,
     ) -> Scope:
-        """Create the scope of a file; for each scenario, `scenario_values` has the values other than defaults.
+        """Create the scope of a scenario file; `scenario_values` has the values that differ from the defaults.
 
         Raises `InputError` for undeclared parameters and for values that cannot be evaluated. Raises `BatchSplitError`
         if a parameter that is not numeric has different values in the scenarios.
@@ -89,7 +89,7 @@ class Scope(AttributeReader):
         scenario_values: Sequence[Mapping[str, Value]],
         catalog_lookup: CatalogLookup | None = None,
     ) -> Scope:
-        """Create the scope of declarations; for each scenario, `scenario_values` has the values other than defaults.
+        """Create the scope of declared parameters; `scenario_values` has the values that differ from the defaults.
 
         Raises `InputError` for undeclared parameters and for values that cannot be evaluated. Raises `BatchSplitError`
         if a parameter that is not numeric has different values in the scenarios.
@@ -124,7 +124,7 @@ class Scope(AttributeReader):
     def _numeric_values(self, declaration: ParameterDeclaration, assigned: Mapping[int, Value]) -> FloatArray:
         """Return the values of a numeric parameter, shape (N,).
 
-        Scenarios without an assigned value get the declared value.
+        `assigned` has values by index of the scenario. All other scenarios get the declared value.
         """
         result = np.full(self.n_scenarios, np.nan)
         if (
@@ -144,7 +144,7 @@ class Scope(AttributeReader):
     def _common_text(
         self, declaration: ParameterDeclaration, assigned: Mapping[int, Value], origin_parameters: set[str]
     ) -> Any:
-        """Return the common value of a parameter that is not numeric.
+        """Return the value of a parameter that is not numeric; it must be the same in all scenarios.
 
         Raises `BatchSplitError` if the scenarios have different values.
         """
@@ -159,10 +159,10 @@ class Scope(AttributeReader):
         return self._convert_to_type(texts.pop(), declaration)
 
     def nested_scope(self, element: etree._Element, assignments: etree._Element | None = None) -> Scope:
-        """Create the scope of a catalog entry or maneuver, which can also use the parameters of this scope.
+        """Create the scope of a nested element, such as a catalog entry or a maneuver.
 
-        The entry's own parameters have their declared values, unless `assignments` override them. Assigned values are
-        evaluated in this scope.
+        The new scope has the parameters of this scope, and those that the nested element declares. The latter have
+        their declared values, or the values in `assignments`, which can refer to parameters of this scope.
         """
         source = file_name_of_element(element, self.file_name)
         inner = Scope(
@@ -189,9 +189,9 @@ class Scope(AttributeReader):
         return inner
 
     def read_declared_values(self, root: etree._Element, path: str, type_attribute: str) -> dict[str, Any]:
-        """Read the initial values in declarations of variables or similar elements: an array of shape (N,) by name.
+        """Read the initial values of variables or similar items; return an array of shape (N,) by name.
 
-        `path` is the path from `root` to the declarations. `type_attribute` is the attribute with their type.
+        `path` leads from `root` to the elements that declare them. `type_attribute` is the attribute with the type.
         """
         values: dict[str, Any] = {}
         for declaration in root.iterfind(path):
@@ -214,11 +214,14 @@ class Scope(AttributeReader):
         return values
 
     def find_violations_in(self, root: etree._Element) -> dict[str, BoolArray]:
-        """Return masks of the scenarios that violate constraints of a file, shape (N,), by violated parameter."""
+        """Return a mask of the violating scenarios, shape (N,), for each parameter whose constraints are violated.
+
+        `root` is the element that declares the parameters.
+        """
         return self.find_violations(read_declarations(root, self.file_name))
 
     def find_violations(self, declarations: Sequence[ParameterDeclaration]) -> dict[str, BoolArray]:
-        """Return masks of the scenarios that violate constraints of declarations, shape (N,), by violated parameter."""
+        """Return a mask of the violating scenarios, shape (N,), for each parameter whose constraints are violated."""
         masks: dict[str, BoolArray] = {}
         for declaration in declarations:
             with add_location_to_input_errors(declaration, self.file_name):
@@ -234,9 +237,9 @@ class Scope(AttributeReader):
         return evaluate_expression(text, self.parameter_values) if text.startswith("$") else text
 
     def resolve_element_or_reference(self, parent: etree._Element, tag: str) -> tuple[etree._Element, Scope]:
-        """Return the child element with a tag, or the entry of the ``CatalogReference`` that replaces this element.
+        """Return the child of `parent` with the tag `tag`, and the scope to read the child's attributes.
 
-        Also return the scope, which has the parameter values for reading the element.
+        If `parent` has a ``CatalogReference`` instead, return the catalog entry and its scope.
         """
         element = parent.find(tag)
         if element is not None:
@@ -250,7 +253,7 @@ class Scope(AttributeReader):
         return self.resolve_catalog_reference(reference, tag)
 
     def resolve_catalog_reference(self, reference: etree._Element, *allowed_tags: str) -> tuple[etree._Element, Scope]:
-        """Return the entry of a ``CatalogReference``, and the scope with the parameter values for its attributes."""
+        """Return the catalog entry that a ``CatalogReference`` names, and the scope to read the entry's attributes."""
         assert self._catalog_lookup is not None
         if self._reference_depth > _MAX_REFERENCE_DEPTH:
             raise InputError(
@@ -277,7 +280,11 @@ class Scope(AttributeReader):
         self._origin_parameters[declaration.name] = self.find_origin_parameters(declaration.value)
 
     def _convert_to_type(self, value: Any, declaration: ParameterDeclaration) -> Any:
-        """Convert a scalar to the declared type of a parameter; an array (one item per scenario) is only checked."""
+        """Convert a scalar to the declared type of a parameter.
+
+        An array (one number per scenario) is returned unchanged; for integer types, other numbers are recorded as
+        invalid.
+        """
         if isinstance(value, np.ndarray):
             if declaration.type_name in INTEGER_TYPES:
                 broken = np.isfinite(value) & (np.abs(value - np.round(value)) > 1e-6)
@@ -314,7 +321,7 @@ def fulfils_constraints(
     scenario_values: Sequence[Mapping[str, Value]],
     file_name: str = "the scenario",
 ) -> BoolArray:
-    """Return the mask of the concrete scenarios that fulfil all constraints on their parameters, shape (n,)."""
+    """Return a mask of the scenarios whose parameter values fulfil all constraints, shape (n,)."""
     result = np.ones(len(scenario_values), dtype=np.bool_)
     try:
         scope = Scope.from_declarations(file_name, declarations, scenario_values)

@@ -12,15 +12,16 @@ from cornercase.scenario._types import format_value
 
 
 def seed_of_run(seed: int, run: int) -> int:
-    """Return the seed of run number `run` of a scenario; run 0 has `seed` itself."""
+    """Return the seed of run number `run` of a repeated scenario; run 0 has `seed` itself."""
     return seed + (run << 32)
 
 
 class ScenarioSeeds(Sequence[int]):
-    """Seeds of N concrete scenarios, each a hash of the seed of the run and of the parameter values.
+    """Seeds of N concrete scenarios; each seed is a hash of the run's seed and of all parameter values.
 
-    The seed of a scenario does not depend on the other scenarios, nor on whether a value is given or a default of the
-    file. `values` has a scalar or an array of shape (N,) for each parameter. Each seed is computed when it is read.
+    A scenario has the same seed in any batch. It also has the same seed whether a parameter value is given explicitly
+    or is the default of the file. `values` has a scalar or an array of shape (N,) for each parameter. A seed is
+    computed only when it is read.
     """
 
     def __init__(self, run_seeds: Sequence[int], values: Mapping[str, Any]) -> None:

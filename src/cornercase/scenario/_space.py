@@ -35,7 +35,7 @@ class ParameterSpace:
     Parameters
     ----------
     parameters : sequence of Parameter
-        With different names. Without any, nothing is varied, and there is nothing to search.
+        With different names. Without parameters, nothing is varied or searched.
     declarations : sequence of ParameterDeclaration
         Declared parameters of the scenario. The space is limited to the values that fulfil their constraints.
 
@@ -300,8 +300,8 @@ class ParameterSpace:
         Raises
         ------
         InputError
-            No tested point fulfils the constraints. The tested points are 2048 random points, or all points of a
-            smaller space.
+            No tested point fulfils the constraints. In a space of at most 2048 points, all points are tested,
+            otherwise 2048 random points.
         """
         if not self.parameters or not any(declaration.constraint_groups for declaration in declarations):
             return ParameterSpace(self.parameters)
@@ -309,7 +309,7 @@ class ParameterSpace:
         if not fulfils_constraints(declarations, self.values(self.snap(points)), file_name).any():
             raise InputError(
                 f"None of {len(points)} concrete scenarios fulfils the constraints of the scenario's parameters; vary"
-                " them within their constraints."
+                " the parameters within their constraints."
             )
         return ParameterSpace(self.parameters, declarations)
 
@@ -386,7 +386,7 @@ class ParameterSpace:
         return points[self.is_admissible(points)][:1]
 
     def representative_points(self) -> FloatArray:
-        """Return the center point, and a few more points that together include all choices of each parameter.
+        """Return the center point, and a few more points, so that each choice of each parameter occurs.
 
         Points that violate the constraints are left out.
 
@@ -404,12 +404,14 @@ class ParameterSpace:
         return np.concatenate([self.center_point(), points[self.is_admissible(points)]])
 
     def _constraint_test_points(self) -> FloatArray:
-        """Return points for testing constraints: all points of a small space, otherwise random ones."""
+        """Return points to test constraints at: all points of a small space, or random points of a larger one."""
         few = self.size is not None and self.size <= _N_TEST_POINTS
         return self.full_factorial() if few else np.random.default_rng(0).random((_N_TEST_POINTS, self.dimension))
 
     def snap(self, points: FloatArray) -> FloatArray:
-        """Move each coordinate to the middle of its step or choice; coordinates of continuous ranges are only clipped.
+        """Move each coordinate to the middle of the part of the unit interval that its step or choice covers.
+
+        Coordinates of continuous ranges are only clipped to the unit interval.
 
         Parameters
         ----------
@@ -432,7 +434,8 @@ class ParameterSpace:
         Parameters
         ----------
         n_levels : sequence of int, length d, optional
-            Number of evenly spaced values of each parameter; by default all, which needs a finite space.
+            Number of evenly spaced values of each parameter. By default, a parameter has all of its values; a
+            continuous parameter has only one value, at the middle of the unit interval.
 
         Returns
         -------
@@ -449,9 +452,9 @@ class ParameterSpace:
         return np.asarray(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, self.dimension))
 
     def probabilities(self, points: FloatArray) -> FloatArray:
-        """Return the probability of the scenario at each point of a finite space, from the parameters' distributions.
+        """Return the probability of the scenario at each point of a space without continuous parameters.
 
-        Constraints are ignored.
+        It is the product of the parameters' probabilities. Constraints are ignored.
 
         Parameters
         ----------

@@ -37,7 +37,7 @@ _MAX_UNSIGNED: Final = {"unsignedInt": 2**32 - 1, "unsignedShort": 2**16 - 1}
 def convert_to_type(value: Value, type_name: str) -> Value:
     """Convert a value to a declared type; booleans become ``"true"`` or ``"false"``.
 
-    Raises `ValueError` if the value cannot be converted. The message explains why, and completes "is '12.5', …".
+    Raises `ValueError` if the value cannot be converted. Its message completes a sentence such as "gap is '12.5', …".
     """
     if type_name in NUMERIC_TYPES:
         try:
@@ -83,9 +83,9 @@ class _TypedDeclaration(Protocol):
 def find_type_errors(
     declarations: Sequence[_TypedDeclaration], scenario_values: Sequence[Mapping[str, Value]]
 ) -> dict[int, str]:
-    """Return the first type error of each scenario that has a value of a wrong type, by index of the scenario.
+    """Describe the first value of a wrong type in each scenario that has one; by index of the scenario.
 
-    Each error is a sentence without full stop. Expressions are not checked.
+    Each description is a sentence without full stop. Values that are expressions are not checked.
     """
     names = set().union(*scenario_values)
     varied = [declaration for declaration in declarations if declaration.name in names]
@@ -125,7 +125,7 @@ def _convert_to_integer(number: float, type_name: str) -> int:
 
 
 def format_value(value: Value) -> str:
-    """Format a value so that it is read back exactly; whole numbers have no decimals."""
+    """Format a value so that reading the text gives exactly the same value; whole numbers get no decimals."""
     if isinstance(value, str):
         return value
     if isinstance(value, bool | np.bool_):
@@ -135,7 +135,7 @@ def format_value(value: Value) -> str:
 
 
 def convert_parameter_to_type(parameter: Parameter, type_name: str, file_name: str) -> Parameter:
-    """Convert a varied parameter to its declared type; raises `InputError` if its range does not fit."""
+    """Convert a varied parameter to its declared type; raises `InputError` if its range does not fit the type."""
     if parameter.choices or type_name == "double":
         return parameter
     where = f"{file_name}: the parameter {parameter.name} is declared as {type_name}"
@@ -147,8 +147,8 @@ def convert_parameter_to_type(parameter: Parameter, type_name: str, file_name: s
         return _parameter_with_choices(parameter, ("false", "true"))
     if parameter.size is None:
         raise InputError(
-            f"{where}, and its range is {parameter.values_text}; give a step, as {parameter.name}=LOW:HIGH:STEP, or a"
-            " `space` file with a <DistributionSet>."
+            f"{where}, so its range {parameter.values_text} needs a step; give it as {parameter.name}=LOW:HIGH:STEP, or"
+            " give a `space` file with a <DistributionSet>."
         )
     if parameter.size > _MAX_CHOICES:
         raise InputError(f"{where}, and its range has {parameter.size} values; at most {_MAX_CHOICES} are possible.")

@@ -23,7 +23,7 @@ FILE_COLUMN: Final = "file"
 
 @dataclass(frozen=True)
 class ValueRow:
-    """A line of a table: its number, the name of the recording (empty if missing), and parameter values."""
+    """A row of a table: line number in the file, name of the recording (empty if not given), and parameter values."""
 
     line: int
     recording_name: str

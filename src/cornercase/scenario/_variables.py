@@ -60,19 +60,22 @@ class Variable:
     proposed_low, proposed_high : float or None
         Proposed range; None if no range is proposed.
     minimum, maximum : float or None
-        Bounds that any range must respect; None without bounds.
+        Smallest and largest value that a range may have; None if there is no such limit.
     is_integer : bool
         Whether the number must be an integer.
     parameter_name : str
-        Name of the parameter that replaces the number when it is varied, or of the declared parameter.
+        Name of the parameter that replaces the number when the number is varied. If the number is the value of a
+        declared parameter, the name of that parameter.
     reason_fixed : str
         Why the number cannot be varied; empty if it can be varied.
     is_declared : bool
         Whether the number is the value of a declared parameter.
     allowed_lanes : frozenset of int
-        Possible values of a lane number; empty for other numbers, and if the road file could not be read.
+        If the number is a lane number, the lanes of the road at this position; empty for other numbers, and if the road
+        file could not be read.
     occurrences : tuple of (int, str)
-        For each place of the number in the file, the index of the element (in file order, from 0) and the attribute.
+        For each place at which the number stands in the file: the index of the element (in file order, from 0), and the
+        name of the attribute.
 
     Examples
     --------
@@ -110,7 +113,7 @@ class Variable:
 
 @dataclass(frozen=True)
 class _UnnamedVariable:
-    """A number in a scenario file before it gets its unique name."""
+    """A number in a scenario file, with the parts of its future name: names are made unique when all are known."""
 
     base: str
     qualifier: str
@@ -156,7 +159,7 @@ def list_variables(scenario: ScenarioFile | Path | str) -> tuple[Variable, ...]:
 
 
 def list_variables_in(scenario: ScenarioFile, root: etree._Element) -> tuple[Variable, ...]:
-    """List the variables of a parsed scenario file; its elements are not marked as used."""
+    """List the numbers of a parsed scenario file that can be varied, without marking its elements as used."""
     return _VariableCollector(scenario, root).collect()
 
 
@@ -248,9 +251,9 @@ class _VariableCollector:
                 )
 
     def _collect_catalog_maneuver(self, reference: etree._Element) -> Iterator[_UnnamedVariable]:
-        """Yield the values that a scenario assigns to a maneuver of a catalog.
+        """Yield the numbers that a scenario assigns to parameters of a maneuver of a catalog.
 
-        Numbers in the catalog cannot be varied.
+        Also yield one item that says why the numbers in the catalog itself cannot be varied.
         """
         catalog, entry = (
             self._resolve_parameter(reference.get("catalogName", "")),
@@ -284,7 +287,7 @@ class _VariableCollector:
     def _collect_trigger(self, trigger: etree._Element | None, base: str, group: str) -> Iterator[_UnnamedVariable]:
         """Yield the numbers in the conditions of a trigger.
 
-        If several groups repeat a condition, each of its numbers is yielded once, as one variable for all copies.
+        If several condition groups have the same condition, yield each of its numbers once, for all copies together.
         """
         identical: dict[Any, list[etree._Element]] = {}
         groups = () if trigger is None else trigger.iterfind("ConditionGroup")
@@ -315,7 +318,7 @@ class _VariableCollector:
     ) -> Iterator[_UnnamedVariable]:
         """Yield the numbers of an element and its descendants.
 
-        `identical_elements` are `top` and its copies; each number stands for the same number in all of them.
+        `identical_elements` are `top` and elements with the same content. Each number is yielded once for all of them.
         """
         rows = zip(*(_iter_searched_elements(twin) for twin in identical_elements or [top]), strict=True)
         entries = 0
@@ -386,7 +389,7 @@ class _VariableCollector:
         )
 
     def _road_position(self, element: etree._Element) -> tuple[RoadExtent | None, int | None, float | None]:
-        """Return road, lane number and s in m of a position; unknown parts are None."""
+        """Return the road, the lane number and s in m of a position element; parts that are not known are None."""
         if element.tag not in _ROAD_POSITION_TAGS:
             return None, None, None
         if self._roads is None:
@@ -396,17 +399,20 @@ class _VariableCollector:
         return self._roads.get(self._resolve_parameter(element.get("roadId", ""))), lane_id, s
 
     def _describe_missing_road(self) -> str:
-        """Describe why the road file cannot be read, as a part of a sentence; empty if no road file is missing."""
+        """Return a part of a sentence on why the road file cannot be read; empty if no road file is missing."""
         if "$" in self._scenario.road_reference_for():
             return "an expression names the road file"
         return self._scenario.describe_missing_road()
 
     def _resolve_parameter(self, text: str) -> str:
-        """Return the value of the parameter that a text refers to, or the text itself."""
+        """Return the declared value of the parameter that a text (``$NAME``) refers to; otherwise the text itself."""
         return self._declared_values.get(text[1:], text) if text.startswith("$") else text
 
     def _unique_name_part(self, element: etree._Element, default: str) -> str:
-        """Return the part of variable names that stands for an element, unique among those with the same `default`."""
+        """Return the name of an element as a part of names of numbers, or `default` if the element has no name.
+
+        A number is appended if another element with the same `default` has this name.
+        """
         if element not in self._name_parts:
             self._name_parts[element] = self._name_pools.setdefault(default, _UniqueNames(())).make_unique(
                 _to_identifier(element.get("name", ""), default)
@@ -429,9 +435,9 @@ def _quantities_of(element: etree._Element) -> Mapping[str, tuple[str, Quantity]
 
 
 def _synchronize_position_prefix(element: etree._Element, top: etree._Element) -> str:
-    """Return ``master_`` or ``target_`` for an element in one of the two positions of a synchronize action.
+    """Return a prefix for numbers in a synchronize action, which has a position for the master and a target position.
 
-    Return an empty text for other elements.
+    The prefix is ``master_`` or ``target_`` for an element within these positions, and empty for other elements.
     """
     ancestor: etree._Element | None = element.getparent()
     while ancestor is not None and ancestor is not top:
@@ -449,7 +455,7 @@ def _iter_searched_elements(element: etree._Element) -> Iterator[etree._Element]
 
 
 def _element_content(element: etree._Element) -> tuple[Any, ...]:
-    """Return the content of an element in a form that does not depend on its formatting, for comparisons."""
+    """Return tags and attributes of an element and its descendants, for comparisons regardless of white space."""
     attributes = tuple(sorted((str(key), str(value)) for key, value in element.attrib.items()))
     return str(element.tag), attributes, tuple(_element_content(child) for child in element.iterchildren("*"))
 
@@ -469,7 +475,7 @@ def _parameter_declarations(element: etree._Element, holder: str) -> Iterator[et
 
 
 def _to_identifier(text: str, default: str = "", max_length: int = _MAX_NAME_PART) -> str:
-    """Convert a text to a part of a name that has only letters, digits, hyphens and underscores."""
+    """Convert a text to a part of a name: letters, digits, hyphens and underscores; `default` if none is left."""
     identifier = re.sub(r"[^\w-]+", "_", text).strip("_-")
     return identifier[:max_length].rstrip("_-") or default
 
@@ -485,7 +491,7 @@ class _UniqueNames:
         self._counts = dict.fromkeys(existing, 1)
 
     def make_unique(self, name: str) -> str:
-        """Return the name, with a number appended if it exists."""
+        """Return the name, with a number appended if the name is already in use."""
         unique = name
         while unique in self._counts:
             self._counts[name] += 1

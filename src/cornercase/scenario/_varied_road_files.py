@@ -19,7 +19,10 @@ _MAX_COMBINATIONS: Final = 1000
 
 
 def add_varied_roads(scenario: ScenarioFile, space: ParameterSpace) -> ScenarioFile:
-    """Return the scenario with the road files that the space can select; the same object if there are none."""
+    """Return the scenario with the road files that varied parameters can select.
+
+    Return `scenario` itself if no varied parameter determines the road file.
+    """
     needed = _road_parameters(scenario)
     chosen = [
         parameter
@@ -57,6 +60,6 @@ def _road_parameters(scenario: ScenarioFile) -> set[str]:
 
 
 def _assignments_of(parameter: Parameter) -> list[dict[str, Value]]:
-    """Return the scenario parameters and values that each step or choice of a varied parameter sets."""
+    """Return, for each step or choice of a varied parameter, the values that it sets, by scenario parameter."""
     middles = parameter.level_midpoints(np.arange(min(parameter.size or 0, _MAX_COMBINATIONS)))
     return [parameter.assignment_at(float(u)) for u in middles]

@@ -93,9 +93,9 @@ class VariedScenario:
         return cls(source, parameters, tuple(by_name[name] for name in chosen))
 
     def scenario_content(self, folder: Path) -> bytes:
-        """Return the content of the varied scenario file, to be written to `folder`.
+        """Return the content of the varied scenario file, with relative paths adapted to its new `folder`.
 
-        Raises `InputError` if a path in the scenario is an expression, so that it cannot be adapted to the folder.
+        Raises `InputError` if the path of a road file or catalog folder is an expression, which cannot be adapted.
         """
         content = _original_content(self.file)
         root, editor = parse_xml(content, self.file.path), XmlEditor(content, self.file.path)
@@ -120,7 +120,7 @@ class VariedScenario:
         return editor.edited_content()
 
     def companion_files(self, folder: Path) -> dict[Path, bytes]:
-        """Return the content of files that the scenario needs in `folder` but that are missing there, by new path."""
+        """Return the contents of files that must be copied to `folder` for the scenario to work there, by new path."""
         missing: dict[Path, bytes] = {}
         for file in self.file.profiles_files:
             target = folder / file.name
@@ -131,12 +131,13 @@ class VariedScenario:
                 missing[target] = content
             elif target.read_bytes() != content:
                 raise InputError(
-                    f"{target}: differs from {file}, which has to be next to the scenario; choose another folder."
+                    f"{target}: differs from {file}, but the new scenario needs a copy of that file here;"
+                    " choose another folder."
                 )
         return missing
 
     def distribution_content(self, scenario_name: str) -> bytes:
-        """Return the content of the file with the parameter ranges; it names `scenario_name` as its scenario file."""
+        """Return the content of the file with the parameter ranges, for the scenario file `scenario_name`."""
         parameters = _harmonize_steps(self.parameters)
         header = self.file.root.find("FileHeader")
         date = "" if header is None else header.get("date", "")
@@ -169,7 +170,7 @@ class VariedScenario:
         return etree.tostring(root, encoding="UTF-8", xml_declaration=True, pretty_print=True)
 
     def add_units(self, space: ParameterSpace) -> ParameterSpace:
-        """Return a space whose parameters have the units of the numbers that they replace."""
+        """Return the space, with the unit of each parameter taken from the number that the parameter replaces."""
         units = {parameter.name: parameter.unit for parameter in self.parameters}
         parameters = [
             replace(parameter, unit=units.get(parameter.name) or parameter.unit) for parameter in space.parameters
@@ -182,8 +183,8 @@ def vary(
 ) -> LogicalScenario:
     """Write a scenario in which numbers vary, and a file of their ranges next to it.
 
-    Each number is replaced by a parameter, whose default value is the number. With default values, the new scenario
-    gives the same recording. Paths of roads and catalogs are adapted to the new folder.
+    Each number is replaced by a parameter, and becomes the default value of this parameter. With default values, the
+    new scenario gives the same recording as the old one. Paths of roads and catalogs are adapted to the new folder.
 
     Parameters
     ----------
@@ -268,7 +269,7 @@ def _create_parameter(variable: Variable, range_: str) -> Parameter:
     if variable.is_integer and any(
         number is not None and number != round(number) for number in (given.low, given.high, given.step)
     ):
-        raise InputError(f"{where}: use whole numbers.")
+        raise InputError(f"{where}: this number is an integer; use whole numbers.")
     step = 1.0 if variable.is_integer and given.step is None else given.step
     parameter = replace(given, name=variable.parameter_name, step=step, unit=variable.unit)
     if variable.allowed_lanes and (parameter.size or 0) <= _MAX_CHECKED_LANES:
@@ -276,14 +277,15 @@ def _create_parameter(variable: Variable, range_: str) -> Parameter:
         absent = [number for number in values if number not in variable.allowed_lanes]
         if absent:
             existing = ", ".join(map(str, sorted(variable.allowed_lanes)))
-            raise InputError(f"{where}: the road has no lane {absent[0]} there; its lanes are {existing}.")
+            raise InputError(f"{where}: the road has no lane {absent[0]} at this position; its lanes are {existing}.")
     return parameter
 
 
 def _harmonize_steps(parameters: Sequence[Parameter]) -> list[Parameter]:
-    """Make all ranges stepped or all continuous, as a distribution file requires.
+    """Make all ranges stepped or all continuous, since a distribution file cannot mix both.
 
-    Ranges of integers fit both. Other mixtures are refused.
+    If some ranges have no step, ranges of integers lose their step of 1, and get it back when the file is read.
+    Raises `InputError` if some ranges have no step and others have another step.
     """
     with_steps = [
         parameter for parameter in parameters if parameter.step is not None and not _has_integer_steps(parameter)
@@ -327,7 +329,10 @@ def _insert_declarations(
 def _adapted_paths(
     scenario: ScenarioFile, root: etree._Element, folder: Path
 ) -> Iterator[tuple[etree._Element, str, str]]:
-    """Yield element, attribute and new value of each relative path that must change if the scenario is in `folder`."""
+    """Yield an element, an attribute and a new value for each relative path that must change for `folder`.
+
+    `folder` is the new folder of the scenario file.
+    """
     declared = {str(e.get("name")): e for e in root.iterfind("ParameterDeclarations/ParameterDeclaration")}
     changed: set[etree._Element] = set()
     for element in root.iter("*"):
@@ -356,7 +361,10 @@ def _adapted_paths(
 
 
 def _adapt_relative_path(folder: Path, old_folder: Path, path: str) -> str | None:
-    """Return a path adapted from the old folder to a new folder; None if the path need not change."""
+    """Return a path relative to `folder` of a file that has a path relative to `old_folder`.
+
+    Return None if the path need not change: it is absolute or a network address, or the file does not exist.
+    """
     posix = path.replace("\\", "/")
     if re.match(r"[A-Za-z][A-Za-z0-9+.-]*:", posix) or posix.startswith("/") or not (old_folder / posix).exists():
         return None

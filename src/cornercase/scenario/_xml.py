@@ -70,7 +70,7 @@ def _parse_strictly(data: bytes, path: Path | str) -> etree._Element:
 
 
 def _parse_leniently(data: bytes, path: Path | str) -> etree._Element | None:
-    """Parse XML in which only the declaration, the encoding or comments are malformed.
+    """Parse XML whose only errors are in the XML declaration, the encoding or comments.
 
     Return None if the XML has other errors.
     """
@@ -102,7 +102,7 @@ def _parse_leniently(data: bytes, path: Path | str) -> etree._Element | None:
 
 
 def _replace_double_hyphens(text: str) -> str:
-    """Replace double hyphens inside comments; a comment ends at the first "-->"."""
+    """Replace double hyphens inside comments, where XML forbids them; a comment ends at the first "-->"."""
     pieces, position = [], 0
     while (start := text.find("<!--", position)) >= 0 and (end := text.find("-->", start + 4)) >= 0:
         comment = text[start + 4 : end].replace("--", "__")
@@ -114,8 +114,8 @@ def _replace_double_hyphens(text: str) -> str:
 class XmlFileCache:
     """Cache of XML files that belong together; each file is read and parsed once, when it is first needed.
 
-    Parsing uses the content that was read first, so the parsed content always matches the checksum. Elements record
-    which attributes were used; a `SupportTable` reports unused attributes.
+    Parsing and checksum use the same content, even if the file changes in between. Elements record which of their
+    attributes were read; a `SupportTable` reports the other attributes.
     """
 
     def __init__(self) -> None:
@@ -128,7 +128,10 @@ class XmlFileCache:
         return hashlib.sha256(self.read_bytes(path)).digest()
 
     def get_root(self, path: Path) -> etree._Element:
-        """Return the normalized root element of a file; do not change it, since all callers share the same object."""
+        """Return the root element of a file, with violations of the standard corrected.
+
+        Do not change it, since all callers share the same object.
+        """
         if path not in self._roots:
             self._roots[path] = root = parse_xml(self.read_bytes(path), path)
             # lxml elements lose their records when they are garbage-collected, so keep them.
