@@ -161,7 +161,7 @@ def test_options_that_all_simulators_have_may_follow_the_colon(problem, tmp_path
     study.explore("sobol", budget=2)
     assert np.diff(study.recording(1).time)[0] == pytest.approx(0.1)
     assert cc.Study.open(study.path).simulator == Builtin(time_step=0.1)
-    with pytest.raises(cc.InputError, match="'builtin' takes 'drivers' as an option of its own, not after the colon"):
+    with pytest.raises(cc.InputError, match="'builtin' does not take drivers after the colon; give `drivers`"):
         cc.Study.create(tmp_path / "other.db", problem, "builtin:drivers=normal")
     with pytest.raises(cc.InputError, match="`time_step` 7"):
         cc.Study.create(tmp_path / "other.db", problem, "builtin:time_step=7")

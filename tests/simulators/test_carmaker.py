@@ -407,7 +407,7 @@ def test_42_1_a_suite_gives_ipgs_module_the_named_values_too(cmapi, project):
         ({"drivers": {"Ego": "normal"}}, "`drivers` Ego: no driver of cornercase drives in CarMaker"),
         ({"on_collision": "halt"}, "`on_collision` halt"),
         ({"licences": -1}, "give a number of CarMakers from 1 on"),
-        ({"start": "CM.exe", "via": "port"}, "write {port} in its place"),
+        ({"start": "CM.exe", "via": "port"}, "write {port} where the port belongs"),
         ({"start": "CM.exe -cmdport {port}", "hosts": "far", "via": "port"}, "on this machine, not on far"),
         ({"speedup": 0.0}, "both must be above 0"),
     ],

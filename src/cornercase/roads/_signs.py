@@ -50,7 +50,7 @@ def read_road_speed_limits(road: etree._Element) -> SpeedLimits:
 
 
 def read_lane_speed_limits(lane: etree._Element) -> SpeedLimits:
-    """Return the speed limits of a lane; each starts at a distance in m from the start of the lane section."""
+    """Return the speed limits of a lane; starts are measured from the start of the lane section."""
     return _sort_limits((_read_number_or_nan(element, "sOffset"), element) for element in find_untracked(lane, "speed"))
 
 
@@ -74,7 +74,7 @@ def _read_limit(speed: etree._Element) -> float:
 
 
 def _read_number_or_nan(element: etree._Element, name: str) -> float:
-    """Return an attribute as a number; NaN if it is not a number, since a bad sign must not make a file unusable."""
+    """Return an attribute as a number; NaN if invalid, so that signs and limits never make a file unusable."""
     try:
         return float(element.attrib.get(name, math.nan))
     except ValueError:

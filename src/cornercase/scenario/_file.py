@@ -282,7 +282,7 @@ class ScenarioFile:
             raise InputError(f"{self.path}: declares no parameter '{name}'{also}; {suggest_name(name, possible)}")
 
     def parse_driver_option_names(self, names: Iterable[str]) -> dict[str, tuple[str, str]]:
-        """Return entity and option for each name of the form ``ENTITY.OPTION``, an option of the entity's driver.
+        """Return entity and option for each name of a driver option, such as ``Ego.reaction``.
 
         Other names, and names that the file declares as parameters, are left out.
         """

@@ -62,7 +62,7 @@ class XmlEditor:
             self._edits.append((start.end(), end.start(), block + closing_indent))
 
     def insert_sibling_lines(self, lines: list[str], element_index: int, after: bool) -> None:
-        """Insert lines before or after an element, with its indentation."""
+        """Insert lines before or after an element, indented like the element."""
         start, end = self._starts[element_index], self._ends.get(element_index, self._starts[element_index])
         between = self._newline + self._indentation(start)
         if after:

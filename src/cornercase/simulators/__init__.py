@@ -1,4 +1,4 @@
-"""Simulators by name, functions that run scenarios, and the base class for your own simulators."""
+"""List of all simulators, functions that run scenarios, and the base class for your own simulators."""
 
 import lazy_loader as lazy
 

@@ -57,11 +57,12 @@ class Simulator(Configurable, ABC):
     ``cornercase.simulators``. The other members have defaults for a program that runs one scenario at a time.
 
     The constructor must not start anything, and must work if the program is not installed: the object only describes a
-    simulator, and may be created again in another process. All options of the constructor are keyword arguments. The
-    constructor is offered ``time_step`` and ``duration`` in s, ``on_collision`` (``"continue"`` or ``"stop"``) and
-    ``drivers`` (drivers or their names, by entity), and gets the options that it declares. If it does not declare
-    ``drivers``, drivers are refused. Other options follow the name of the simulator after a colon
-    (``"esmini:seed=3"``). They must be declared by name: ``**options`` does not accept them.
+    simulator, and may be created again in another process. All options of the constructor are keyword arguments. Four
+    options are common to all simulators: ``time_step`` and ``duration`` in s, ``on_collision`` (``"continue"`` or
+    ``"stop"``) and ``drivers`` (by entity, a driver or the name of a driver). Of these, the constructor gets only those
+    that it declares. If it does not declare ``drivers``, drivers are refused. The simulator's own options follow its
+    name after a colon (``"esmini:seed=3"``). The constructor must declare each of them by name: ``**options`` does not
+    accept them.
 
     Attributes
     ----------
@@ -69,7 +70,7 @@ class Simulator(Configurable, ABC):
         Registered name, with the simulator's options if any were given: ``"esmini:seed=3"``. Time step, duration,
         ``on_collision`` and drivers are not part of the name, since all simulators have them.
     settings : dict
-        Everything besides the scenario on which the recordings depend, as plain JSON values. The settings are stored
+        Everything that determines the recordings besides the scenario, as plain JSON values. The settings are stored
         with a study, and a study is resumed only with the same settings.
     requires : tuple of str
         Further options that the constructor gets: ``"ego"``, the name of the entity under test, and ``"worker"``, the
@@ -78,8 +79,8 @@ class Simulator(Configurable, ABC):
         Whether the simulator may run in cornercase's own process, since it neither crashes nor hangs and leaves
         nothing behind.
     deterministic : bool, default False
-        Whether the same scenario with the same settings gives a bit-identical recording. Differences between recordings
-        then come from what is tested. This is checked with the first scenario of each study.
+        Whether the same scenario with the same settings gives a bit-identical recording. If recordings differ
+        nevertheless, the system under test is the cause. Each study checks this with its first scenario.
     batched : bool, default False
         Whether one call with many scenarios is faster than single calls. The simulator then gets as many scenarios as
         possible at once, otherwise one at a time.
@@ -87,16 +88,17 @@ class Simulator(Configurable, ABC):
         Whether parameters of drivers can differ between scenarios: ``concrete.values`` then also has values such as
         ``Ego.reaction``, for the option ``reaction`` of the driver of ``Ego``. Otherwise these parameters are refused.
     runs_storyboard : bool, default True
-        Whether the storyboard of the scenario file says what happens; otherwise something else does, such as a TestRun.
+        Whether the storyboard of the scenario file determines what happens; False if something else determines it,
+        such as a TestRun of CarMaker.
     has_own_boxes : bool, default False
         Whether the simulator's vehicles have bounding boxes of their own, instead of the boxes in the scenario file.
     parameter_passing : {"name", "file"}, default "name"
         How the simulator takes parameter values. ``"name"``: ``concrete.values`` has the values of all parameters that
         the scenario file declares. ``"file"``: the simulator reads the file, and ``concrete.values`` has only the
-        values that differ from the file (none for the scenarios of a suite).
+        values that differ from the file. In a suite no values differ, since each scenario has a file of its own.
     on_notice : callable
-        Called with each sentence for the user. By default the sentence becomes a `NoticeWarning`; worker processes
-        forward it.
+        Function that is called with each sentence for the user. By default the sentence becomes a `NoticeWarning`;
+        a worker process sends the sentence to the main process.
 
     Examples
     --------
@@ -213,8 +215,8 @@ class Simulator(Configurable, ABC):
         Returns
         -------
         mapping of str to str
-            Version by name of the program; an empty text if the version is unknown. By default there are no entries,
-            as `availability` has one version.
+            Version by name of the program; an empty text if the version is unknown. Empty by default, since
+            `availability` already gives the version of the simulator itself.
         """
         return {}
 
@@ -225,8 +227,8 @@ class Simulator(Configurable, ABC):
         Returns
         -------
         mapping of str to mapping
-            Options of the simulator with which an agent drives, by the agent's name: ``{"SUMO's model normal":
-            {"drivers": {"Ego": "normal"}}}``. Empty by default.
+            For each agent, by its name, the options of the simulator that make the agent drive: ``{"SUMO's model
+            normal": {"drivers": {"Ego": "normal"}}}``. Empty by default.
         """
         return {}
 
@@ -275,7 +277,7 @@ class Simulator(Configurable, ABC):
 
 
 def check_seed(seed: int, owner: str) -> int:
-    """Return a seed; `InputError`, which names the `owner`, unless the seed is an integer from 0 to 2147483647."""
+    """Return a seed from 0 to 2147483647; raise `InputError`, which names the `owner`, for any other seed."""
     if not (isinstance(seed, int) and 0 <= seed < 2**31):
         raise InputError(f"The seed of {owner} is {seed}; give a whole number from 0 to 2147483647.")
     return seed
@@ -316,11 +318,11 @@ def check_settings(
     Raises
     ------
     InputError
-        A value is out of range, or something is no driver.
+        A value is out of range, or a value of `drivers` is not a driver.
 
     Examples
     --------
-    The constructor of a simulator calls it:
+    The constructor of a simulator calls this function:
 
     >>> from cornercase.simulators import check_settings
     >>> settings = check_settings(0.05, 60.0, "stop", {"Ego": "normal:reaction_time=0.8"})

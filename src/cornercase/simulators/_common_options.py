@@ -19,7 +19,11 @@ _DEFAULT_OPTIONS: Final = {name: SIMULATION_OPTIONS[name].default for name in CO
 
 
 def select_declared_options(name: str, simulator: type[Simulator], options: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the options that a simulator's constructor declares; refuse other given options, or warn about them."""
+    """Return the given options without those common options that a simulator's constructor does not declare.
+
+    If such a common option was given with another value than its default, raises `InputError` (``drivers``,
+    ``on_collision``) or warns (``time_step``, ``duration``).
+    """
     declared = declared_options(simulator)
     for key, default in _DEFAULT_OPTIONS.items():
         value = options.get(key)
@@ -46,7 +50,11 @@ def select_declared_options(name: str, simulator: type[Simulator], options: Mapp
 def split_common_options(
     simulator: str | Simulator, options: Mapping[str, Any]
 ) -> tuple[str | Simulator, dict[str, Any]]:
-    """Return a simulator without common options such as ``time_step``, and their values from it or `options`."""
+    """Separate a simulator from common options such as ``time_step``.
+
+    Returns the simulator without these options, and the values of these options. A value comes from the simulator if
+    the simulator has the option, otherwise from `options`.
+    """
     common = {key: options[key] for key in _DEFAULT_OPTIONS}
     if isinstance(simulator, str):
         stripped, own = _split_simulator_text(check_str("simulator", simulator))
@@ -76,7 +84,7 @@ def _split_simulator_text(text: str) -> tuple[str, dict[str, Any]]:
     parts = after.split(",")
     keys = {part: part.partition("=")[0].strip() for part in parts}
     if "drivers" in keys.values():
-        raise InputError(f"The simulator '{name}' takes 'drivers' as an option of its own, not after the colon.")
+        raise InputError(f"The simulator '{name}' does not take drivers after the colon; give `drivers` separately.")
     common = [part for part in parts if keys[part] in COMMON_OPTIONS]
     if not common:
         return text, {}

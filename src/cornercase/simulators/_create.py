@@ -1,4 +1,4 @@
-"""Create a simulator by name, in this process or in worker processes."""
+"""Create a simulator from its name or an object, in this process or in worker processes."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ def create_simulator(
     """Create a simulator from a name or an object, in this process, in worker processes or on a Dask cluster.
 
     In worker processes, a crash or hang costs only the scenario at fault. A simulator with `in_process` runs in this
-    process, unless there are several workers, a time-out, or a user's driver given by name. A driver given as an object
-    is no reason for worker processes, since it may not be picklable.
+    process, unless there are several workers, a time-out, or a user's driver given by name. A user's driver given as an
+    object runs in this process too, since the object may not be picklable.
     """
     timeout = None if timeout is None else check_float("timeout", timeout, above=0.0)
     workers = check_int("workers", workers, 1, MAX_WORKERS)

@@ -21,8 +21,9 @@ def find_parameters_of_drivers(
 ) -> list[tuple[str, Driver, dict[str, str]]]:
     """Find the parameters of drivers, such as ``Ego.reaction``, among `names`.
 
-    Returns one tuple per entity: entity, driver, and full names by short name (``{"reaction": "Ego.reaction"}``).
-    `drivers` override the drivers of the file. Raises `InputError` for a parameter that the driver does not have.
+    Returns one tuple per entity: the entity, its driver, and a dict from short to full names of the parameters, such as
+    ``{"reaction": "Ego.reaction"}``. `drivers` take precedence over the drivers that the file names. Raises
+    `InputError` for a parameter that the driver does not have.
     """
     by_entity: dict[str, dict[str, str]] = {}
     for full_name, (entity, name) in scenario.parse_driver_option_names(dict.fromkeys(names)).items():
@@ -73,7 +74,10 @@ def check_driver_parameters(
 
 
 def list_probe_values(space: ParameterSpace) -> list[dict[str, Value]]:
-    """Return values for a check of each parameter of a space: its bounds and a value between, or its choices."""
+    """Return the values with which to check each parameter of a space: both bounds and a value between, or all choices.
+
+    Each dict of the list has a value of one parameter.
+    """
     samples = list[dict[str, Value]]()
     for parameter in space.parameters:
         if parameter.choices:

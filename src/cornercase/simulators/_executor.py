@@ -54,7 +54,7 @@ class SimulatorExecutor:
         return self._n_parallel
 
     def _start_threads(self, queue: _WorkQueue) -> int:
-        """Start a thread for each parallel instance of a simulator without a thread; return the number of instances."""
+        """Start the missing threads, one per parallel instance of a simulator; return the number of instances."""
         instances = queue.simulator.parallel_instances()
         for instance in instances[len(queue.threads) :]:
             thread = Thread(target=self._process_work, args=(queue.queue, instance), daemon=True)
@@ -72,7 +72,10 @@ class SimulatorExecutor:
                 self._results.put((key, None, error))
 
     def submit(self, key: int, work: SimulatorWork, name: str | None = None) -> None:
-        """Submit work under a key, for the simulator called `name`, by default the first; may run in another thread."""
+        """Submit work under a key for the simulator called `name`, by default the first simulator.
+
+        The work may run in another thread.
+        """
         queue = self._queues[self._first_name if name is None else name]
         if queue.threads or self._start_threads(queue):
             queue.queue.put((key, work))

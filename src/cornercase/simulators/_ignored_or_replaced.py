@@ -15,7 +15,7 @@ from cornercase.simulators._results import check_simulator_accepts, list_ignored
 def describe_ignored_or_replaced(
     simulator: str, scenario: Path | str, *, drivers: Mapping[str, DriverLike] | None = None, ego: str = "Ego"
 ) -> list[str]:
-    """Return sentences on what a simulator ignores or replaces in a scenario, and what its agents override.
+    """Return sentences on what a simulator ignores or replaces in a scenario, and on what its driver models override.
 
     The sentences have no full stop. Raises `InputError` if the simulator refuses the scenario. Nothing is started.
     """

@@ -25,14 +25,20 @@ _DRIVER_REGISTRIES: Final[tuple[Registry[Any], ...]] = (DRIVERS, SENSORS, VEHICL
 
 @dataclass(frozen=True)
 class DriverSpec:
-    """Driver to send by name (``"package.module:Class"`` with options), and the serialized driver for comparison."""
+    """Name of a driver (``"package.module:Class"`` with options), from which another process creates the driver.
+
+    `description` is the serialized driver, which must be the same for the driver that the other process creates.
+    """
 
     name: str
     description: str | dict[str, Any]
 
     @classmethod
     def from_driver(cls, driver: str | Driver) -> str | Driver | DriverSpec:
-        """Return what to send for a driver: a `DriverSpec` if it was created by class name, else the driver itself."""
+        """Return what to send to another process: a `DriverSpec` if the driver was created from the name of a class.
+
+        Any other driver is returned unchanged.
+        """
         name = user_driver_spec(driver)
         return driver if isinstance(driver, str) or name is None else cls(name, serialize_driver(driver))
 
@@ -48,10 +54,11 @@ class DriverSpec:
 
 
 def pickle_simulator(simulator: str | type[Simulator], options: Mapping[str, Any]) -> bytes:
-    """Pickle a simulator (name or class) and its options; drivers created by class name are sent as `DriverSpec`.
+    """Pickle a simulator (name or class) and its options; see `DriverSpec` for drivers that are sent as names.
 
-    If this program registered the name itself, the registered class is sent too. Classes that the main script or a
-    notebook defines are sent by value. Raises `InputError` if a driver or another option cannot be pickled.
+    Classes that this program itself registered under a sent name are sent too. Classes that the main script or a
+    notebook defines are sent with their code, since another process cannot import them. Raises `InputError` if a driver
+    or another option cannot be pickled.
     """
     drivers = {
         entity: DriverSpec.from_driver(driver_spec)
@@ -74,7 +81,8 @@ def pickle_simulator(simulator: str | type[Simulator], options: Mapping[str, Any
 def unpickle_simulator(content: bytes) -> tuple[str | type[Simulator], dict[str, Any]]:
     """Return the name or class of a simulator and its options, from the bytes of `pickle_simulator`.
 
-    The user's modules are also searched in the current folder. Raises `InputError` if a driver cannot be created.
+    Modules of the user that are not installed are looked up in the current folder. Raises `InputError` if a driver
+    cannot be created.
     """
     registrations, simulator, options = unpickle_with_current_folder(content)
     for registry, registered in zip((SIMULATORS, *_DRIVER_REGISTRIES), registrations, strict=True):
@@ -89,7 +97,7 @@ def _require_picklable(entity: str, driver: Any) -> None:
         cls = type(driver)
         attributes = getattr(driver, "__dict__", {}).items()
         culprits = [f"its attribute '{name}'" for name, value in attributes if not _is_picklable(value)]
-        culprit = next(iter(culprits), "it")
+        culprit = next(iter(culprits), "the driver")
         reason = format_exception(error)
         raise InputError(
             f"`drivers` {entity}: the driver {cls.__module__}:{cls.__qualname__} cannot be sent to another process,"

@@ -29,7 +29,7 @@ _SCENARIO_KEY: Final = "scenario"
 
 @dataclass(frozen=True)
 class PlannedRecording:
-    """A recording that is to be written: its file name, and its scenario with the parsed file."""
+    """A recording that the folder is to contain: its file name, and its scenario, whose file is already parsed."""
 
     file: str
     concrete_scenario: ConcreteScenario
@@ -44,10 +44,10 @@ class PlannedRecording:
 
 
 class RecordingsFolder:
-    """A folder of recordings, with a file of notes on each recording.
+    """A folder of recordings, with a single file of notes on all recordings.
 
-    `settings` has everything besides the scenarios on which recordings depend. Raises `InputError` if a file name is
-    taken by another file, or by a recording of another scenario or with other settings.
+    `settings` has everything that determines the recordings besides their scenarios. Raises `InputError` if a file name
+    is taken by another file, or by a recording of another scenario or with other settings.
     """
 
     def __init__(self, path: Path, planned: Sequence[PlannedRecording], settings: Mapping[str, object]) -> None:

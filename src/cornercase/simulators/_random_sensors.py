@@ -1,4 +1,4 @@
-"""Search for sensors that draw random numbers, so that runs of a scenario with other seeds differ."""
+"""Search for sensors that draw random numbers, so that two runs of a scenario with different seeds differ."""
 
 from __future__ import annotations
 
@@ -15,7 +15,11 @@ from cornercase.simulators._base import Simulator
 def find_entities_with_random_sensors(
     simulator: Simulator, scenarios: Iterable[ScenarioFile], varied: Iterable[str] = ()
 ) -> tuple[str, ...]:
-    """Return the entities with random sensors; `varied` has the parameters of a search, such as ``"Ego.noise"``."""
+    """Return the entities with random sensors.
+
+    `varied` has the parameters that a search varies. Such a parameter, for example ``"Ego.noise"``, can make a sensor
+    random.
+    """
     given = simulator.settings.get("drivers")
     drivers: dict[str, set[object]] = {}
     for scenario in scenarios:
@@ -38,7 +42,10 @@ def warn_if_runs_are_random(entities: Iterable[str], advice: str) -> None:
 
 
 def _equipment_text(description: object) -> str:
-    """Return a text with the equipment, such as sensors, of a serialized driver; its driver name is a placeholder."""
+    """Return a serialized driver as a text such as ``driver + radar``: its sensors and vehicle model are named.
+
+    The word ``driver`` stands for the driver itself. A driver that is serialized as a text is returned as it is.
+    """
     if isinstance(description, Mapping) and isinstance(equipment := description.get("equipment"), list | tuple):
         return SEPARATOR.join(["driver", *map(str, equipment)])
     return description if isinstance(description, str) else ""

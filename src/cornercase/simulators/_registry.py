@@ -23,12 +23,13 @@ for _name, _target in (
 
 
 def list_simulators() -> dict[str, Availability]:
-    """Return all simulators by name, and whether each can run on this machine.
+    """Return for each simulator, by its name, whether the simulator can run on this machine.
 
     Returns
     -------
     dict of str to Availability
-        By name, including simulators of other packages. A simulator that cannot be loaded is not available.
+        Availability of each simulator, by name; includes simulators of other packages. A simulator that cannot be
+        loaded is not available.
 
     Examples
     --------

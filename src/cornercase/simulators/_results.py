@@ -36,7 +36,10 @@ def run_scenarios(simulator: Simulator, concretes: Sequence[ConcreteScenario]) -
 def adapt_values_to_simulator(
     simulator: Simulator, concretes: Sequence[ConcreteScenario]
 ) -> Sequence[ConcreteScenario]:
-    """Return scenarios with the values that a simulator takes: all values, or only values other than in the file."""
+    """Return scenarios with the parameter values that a simulator requires, according to its `parameter_passing`.
+
+    These are the values of all parameters, or only the values that differ from the scenario file.
+    """
     return (
         concretes if simulator.parameter_passing == "file" else [concrete.with_all_values() for concrete in concretes]
     )

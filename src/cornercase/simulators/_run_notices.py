@@ -29,7 +29,7 @@ _MAX_NAMED_ENTITIES: Final = 3
 
 @dataclass
 class _FarEntity:
-    """An entity that is far from every road in some runs: their number, and distance and time in the first run."""
+    """An entity that is far from every road in `runs` runs; distance, time and label are of the first such run."""
 
     away: float
     time: float
@@ -45,7 +45,7 @@ class _FarEntity:
 
 
 class RunNotices:
-    """Collector of notices on runs, which are issued as warnings when all runs have ended."""
+    """Collector of notices on runs; the notices are issued as warnings when all runs have ended."""
 
     def __init__(self, simulator: Simulator) -> None:
         self._duration = simulator.settings.get("duration")
@@ -116,10 +116,11 @@ def find_entities_far_from_roads(network: RoadNetwork, recording: Recording) -> 
 
 
 def find_driver_in_files(simulator: Simulator, scenarios: Iterable[ScenarioFile], ego: str) -> str | None:
-    """Return the driver that all scenario files name for the ego; ``""`` if no file does and the storyboard moves it.
+    """Return the driver of the ego, if all scenario files name the same driver.
 
-    None if the driver is unknown: the files name several drivers, a scenario may choose a driver during the run, or the
-    simulator drives the ego itself.
+    Returns ``""`` if no file names a driver: the storyboard then moves the ego. Returns None if the driver is unknown:
+    the files name several drivers, a scenario may choose a driver during the run, or the simulator drives the ego
+    itself.
     """
     if simulator.name.partition(":")[0] != "builtin":
         return None
@@ -143,6 +144,6 @@ def warn_if_ego_has_no_driver(simulator: Simulator, scenarios: Iterable[Scenario
 
 
 def _road_network_if_read(scenario: ScenarioFile) -> RoadNetwork | None:
-    """Return the road network of a scenario; None if it was not read here, or depends on parameter values."""
+    """Return the road network of a scenario; None if this process has not read it, or has read more than one."""
     networks = list(PreparedScenario.from_scenario(scenario).networks.values())
     return networks[0] if len(networks) == 1 else None

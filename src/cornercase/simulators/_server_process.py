@@ -1,4 +1,4 @@
-"""A simulator's server that a worker starts on its machine, waits for, and starts again."""
+"""Server of a simulator, which a worker process starts on its own machine and restarts if needed."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class ServerProcess:
         if host not in _LOCAL_HOSTS:
             raise InputError(f"start={command}: starts {name} on this machine, not on {host}; leave out `hosts`.")
         if "{port}" not in command:
-            raise InputError(f"start={command}: does not say where the port goes; write {{port}} in its place.")
+            raise InputError(f"start={command}: names no port; write {{port}} where the port belongs.")
         self._name, self._command, self._port = name, command.replace("{port}", str(port)), port
         self._is_ready, self._start_timeout, self._restart_after = is_ready, start_timeout, restart_after
         self._process: subprocess.Popen[bytes] | None = None
@@ -69,11 +69,12 @@ class ServerProcess:
         return is_new
 
     def _start(self) -> None:
-        """Start the server, and try again if it fails: it may only have been unlucky."""
+        """Start the server; if this fails, try once more, since the first failure may have been accidental."""
         error_class = SimulatorError if self._n_starts else InputError
         if self._is_ready():
             raise error_class(
-                f"Another server answers on port {self._port} already; end it, leave out start, or choose another port."
+                f"Another server answers on port {self._port} already; end that server, choose another port, or leave"
+                " out 'start' to use that server."
             )
         for attempt in range(1, _START_ATTEMPTS + 1):
             problem = self._try_to_start()
@@ -124,7 +125,9 @@ class ServerProcess:
             try:
                 self._process.wait(_END_TIMEOUT)
             except subprocess.TimeoutExpired as error:
-                raise SimulatorError(f"{self._name} (process {self._process.pid}) does not end") from error
+                raise SimulatorError(
+                    f"{self._name} (process {self._process.pid}) was killed, but still runs after {_END_TIMEOUT:g} s"
+                ) from error
             self._process = None
         if self._log is not None:
             self._log.close()

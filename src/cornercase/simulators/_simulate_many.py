@@ -49,7 +49,7 @@ class SimulatedFolder:
     folder : Path
         Folder of the recordings.
     done : int
-        Number of the scenarios' recordings in the folder.
+        Number of scenarios whose recording is in the folder, including recordings that existed before.
     n_existing : int
         Number of recordings that existed before and were not made again.
     failures : mapping of str to str

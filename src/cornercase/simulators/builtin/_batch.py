@@ -135,7 +135,7 @@ class Batch:
             self._world.fail(mask, message)
 
     def _read_parameters(self, entity: str, driver: Driver) -> dict[str, FloatArray]:
-        """Return the parameters of an entity's driver by name; values that the driver refuses fail their scenario."""
+        """Return the parameters of an entity's driver by name; a scenario fails if the driver refuses its value."""
         names, values = self._parameters.get(entity, ({}, []))
         parameters, problems = read_parameters(entity, driver, values)
         shared = {name for name in parameters if must_be_same_in_batch(driver, find_parameter(entity, driver, name)[0])}
@@ -256,8 +256,9 @@ def split_off_driver_parameters(
 ) -> tuple[dict[str, tuple[dict[str, str], list[dict[str, Value]]]], Sequence[Mapping[str, Value]]]:
     """Split parameter values into values of drivers, such as ``Ego.reaction``, and values of the file's parameters.
 
-    The first part has for each entity a dict from short to full names, such as ``{"reaction": "Ego.reaction"}``, and
-    the values by short name in each scenario. Raises `BatchSplitError` if only some scenarios have a driver parameter.
+    The first part has two things for each entity: a dict from short to full names, such as ``{"reaction":
+    "Ego.reaction"}``, and a list with the values of each scenario by short name. Raises `BatchSplitError` if only some
+    scenarios have a driver parameter.
     """
     parameters = scenario.parse_driver_option_names({name for of_scenario in values for name in of_scenario})
     if partly_given := {name for name in parameters if not all(name in of_scenario for of_scenario in values)}:

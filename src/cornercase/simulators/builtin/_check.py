@@ -43,7 +43,8 @@ class Check:
     drivers : mapping of str to str or None
         Driver that the file gives to each entity; None if the storyboard moves the entity, at least at the beginning.
     notices : tuple of Notice
-        Parts of the scenario, its catalogs, roads and space that have no effect in the builtin simulator, and why.
+        Parts that have no effect in the builtin simulator, and why: parts of the scenario file, its catalogs, its road
+        file and the parameter space.
     schema : str or None
         Version of the schema used for validation; None if the schema is not installed.
     schema_errors : tuple of str
@@ -81,7 +82,7 @@ class Check:
 
     @property
     def is_valid(self) -> bool:
-        """Whether the file can be run and violates neither the schema (if installed) nor, if `strict`, the standard."""
+        """Whether the file can be run, fits the schema (if installed) and, if `strict` was given, fits the standard."""
         return not self.schema_errors and not self.run_errors and not self.standard_violations
 
     def __repr__(self) -> str:
@@ -101,7 +102,7 @@ def check(
     strict: bool = False,
     drivers: Mapping[str, DriverLike] | None = None,
 ) -> Check:
-    """Check what a scenario file contains, what has no effect here, and whether it is valid and can be run.
+    """Check a scenario file: its contents, what the builtin simulator ignores, and whether it is valid and can be run.
 
     The file is validated by ASAM's schema if the extra ``cornercase[validate]`` is installed. The scenario is run for
     one time step with the given drivers, and with the parameter values of the file or from the middle of the space.

@@ -49,7 +49,8 @@ _LIMIT_ATTRIBUTES: Final = ("maxSpeed", "maxAcceleration", "maxDeceleration")
 def read_entities(objects: Sequence[etree._Element], scope: Scope) -> tuple[tuple[Entity, ...], tuple[Tow, ...]]:
     """Read all entities of a file, and the pairs of vehicle and trailer (tows).
 
-    Trailers without a name follow the other entities, and are called like their vehicle with ``+``.
+    Trailers without a name come after all other entities. The name of such a trailer is the name of the vehicle or
+    trailer that pulls it, with ``+`` appended.
     """
     bodies = [_find_entity_element(element, element.get("name", ""), scope) for element in objects]
     names = [element.get("name", "") for element in objects]
@@ -162,7 +163,10 @@ def _read_bounding_box(body: etree._Element, object_type: str, scope: Scope) -> 
 def _iter_trailers(
     body: etree._Element, scope: Scope, vehicle_name: str
 ) -> Iterator[tuple[etree._Element, Scope] | str]:
-    """Yield the trailers of a vehicle from front to back, each as element and scope, or as the name of an entity."""
+    """Yield the trailers of a vehicle from front to back, each as XML element and scope.
+
+    A trailer that is an entity of its own is yielded as the name of this entity, and is the last one.
+    """
     for _ in range(MAX_TRAILERS):
         holder = body.find("Trailer")
         if holder is None:

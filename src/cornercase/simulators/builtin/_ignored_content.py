@@ -34,7 +34,7 @@ def read_and_collect_notices(scenario: ScenarioFile, values: Mapping[str, Value]
 
 
 def collect_notices(scenario: ScenarioFile, is_complete: bool = True) -> tuple[Notice, ...]:
-    """Return notices about the files of a scenario after reading; `is_complete`: whether all was read."""
+    """Return notices about the files of a scenario after reading; `is_complete` says if all content was read."""
     notices: list[Notice] = [
         *scenario.left_handed_axes_notices(),
         *profile_controller_notices(scenario.root, scenario.path),

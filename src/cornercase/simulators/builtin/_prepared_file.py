@@ -65,7 +65,7 @@ class PreparedScenario:
         return prepared
 
     def check_elements_supported(self) -> None:
-        """Raise `InputError` for the first unsupported element or attribute in what was read since the last call."""
+        """Raise `InputError` for the first unsupported element or attribute that was read since the last call."""
         for file, element in self.scenario.used_elements():
             # The file holds its elements, so their ids stay valid.
             if id(element) not in self._checked_elements and tag_without_namespace(element) != "OpenDRIVE":

@@ -51,7 +51,7 @@ class Builtin(Simulator):
         stop trigger applies in both cases.
     drivers : mapping of str to str, SystemUnderTest, Driver or Behaviour, optional
         Driver of each entity: the name of a preset (``"normal"``), also with options (``"normal:horizon=4"``), a
-        driver, or the parameters of one (``cornercase.drivers.CAUTIOUS``). Overrides the file's controllers.
+        driver object, or parameters of a driver (``cornercase.drivers.CAUTIOUS``). Overrides the file's controllers.
 
     Raises
     ------
@@ -257,7 +257,8 @@ class Builtin(Simulator):
 class _PortionRun(NamedTuple):
     """State of a run of scenarios that fit into memory together, in parallel batches.
 
-    Only one thread runs Python code at a time: this avoids GIL contention, which cost a third of the run time.
+    `gil_lock` lets only one thread run Python code at a time. Without this lock, the threads would compete for the GIL;
+    this took a third of the run time.
     """
 
     concretes: Sequence[ConcreteScenario]
@@ -289,7 +290,7 @@ _BatchIndexOrError = tuple[Future[Batch], int] | SimulationError
 
 
 def _iter_results(progress: dict[int, _BatchIndexOrError], gil_lock: Lock) -> Iterator[Recording | SimulationError]:
-    """Yield results in the order of the scenarios; threads create the next few while the caller uses a result."""
+    """Yield results in the order of the scenarios; threads create further results while the caller uses a result."""
     pending: deque[Future[list[Recording | SimulationError]]] = deque()
     with ThreadPoolExecutor(count_available_cpus()) as executor:
         for begin, end in _split_results(progress):
@@ -334,7 +335,7 @@ def _collect_results(entries: list[_BatchIndexOrError], gil_lock: Lock) -> list[
 def _find_undeclared_values(
     scenario: ScenarioFile, concretes: Sequence[ConcreteScenario], indices: list[int]
 ) -> dict[int, str]:
-    """Return reasons, by index of the scenario, if the file does not declare a parameter that has a value."""
+    """Find scenarios with a value for an undeclared parameter; return error texts by index of the scenario."""
     reasons: dict[int, str] = {}
     names_of_scenarios = {i: tuple(concretes[i].values) for i in indices}
     for names in set(names_of_scenarios.values()):

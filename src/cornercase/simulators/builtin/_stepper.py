@@ -171,7 +171,7 @@ class Stepper:
         self._world.evaluate_leaves = self._evaluate_leaves
 
     def run(self, n_threads: int, gil_lock: Lock | None = None) -> None:
-        """Step until every scenario has ended, in at most `n_threads` threads; `gil_lock` is released in kernels."""
+        """Step until every scenario has ended, in at most `n_threads` threads; compiled code releases `gil_lock`."""
         self._gil_lock = gil_lock
         n_threads = min(n_threads, self._world.scenarios // _MIN_SCENARIOS_PER_THREAD)
         # Between two questions to a driver there is too little to do for several threads.
@@ -203,7 +203,7 @@ class Stepper:
         world.running[:] = False
 
     def _evaluate_storyboard(self, evaluated: BoolArray, is_first: bool) -> None:
-        """Evaluate the storyboard in the scenarios of a mask, then run them until they stop again."""
+        """Evaluate the storyboard in the scenarios of a mask, then run these until they end or need Python again."""
         world, loop, dt = self._world, self._loop_state, 0.0 if is_first else self._options.time_step
         if world.needs_road_check and not is_first:
             update_off_road_since(world, evaluated)
@@ -235,14 +235,14 @@ class Stepper:
             self._run_until_stopped()
 
     def _evaluate_leaves(self) -> None:
-        """Evaluate by compiled code all conditions that it can evaluate, in the running scenarios (status idle)."""
+        """Let compiled code evaluate all conditions that it supports, in the running scenarios."""
         self._loop_state.status[self._world.running] = EVALUATE_LEAVES
         self._bind_tables()
         # In this thread: handing so little work to others would take longer.
         self._run_range(0, self._world.scenarios)
 
     def _call_python_drivers(self, waiting: BoolArray) -> None:
-        """Let drivers in Python decide, in those waiting scenarios with the fewest frames, once per time step."""
+        """Let drivers in Python decide for one time step, in those waiting scenarios that have the fewest frames."""
         world, loop, frames = self._world, self._loop_state, self.scene.n_frames
         waiting = waiting & (frames == frames[waiting].min())
         number = int(loop.next_driver[waiting].min())
@@ -281,7 +281,7 @@ class Stepper:
         return np.asarray(in_python)
 
     def _run_until_stopped(self, has_new_tracks: bool = True) -> None:
-        """Run the compiled loop until all scenarios have stopped; provide lanes and positions that it requires."""
+        """Run the compiled loop until all scenarios have stopped; look up lanes and positions that the loop lacks."""
         world, status = self._world, self._loop_state.status
         while True:
             if has_new_tracks:
@@ -349,7 +349,8 @@ class Stepper:
 def _bind_arguments(*arguments: Any) -> tuple[Callable[[int, int], object], bool]:
     """Bind all arguments of the time loop except the range of scenarios; also return whether the loop is compiled.
 
-    Otherwise Numba looks at the types of all arrays in each call, which takes longer than one frame of a scenario.
+    Without this, Numba would inspect the types of all arrays in each call of the loop. That would take longer than one
+    frame of a scenario.
     """
     if isinstance(run_until_storyboard, Dispatcher) and run_until_storyboard.overloads:
         types = (*map(typeof, arguments), int64, int64)

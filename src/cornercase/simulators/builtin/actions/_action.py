@@ -27,7 +27,10 @@ class Action:
     table_row: int = -1
 
     def kernel_options(self) -> tuple[int, ...]:
-        """Return type, entity and options of the action for compiled code; by default the type of actions in Python."""
+        """Return type, entity and options of the action for compiled code.
+
+        By default this is only the type `PYTHON_ACTION`, for actions that run in Python.
+        """
         return (PYTHON_ACTION,)
 
     def start(self, world: World, where: BoolArray) -> None:

@@ -39,9 +39,10 @@ _MAX_POINTS = 10_000
 class DriverControl:
     """Control of one entity by a driver, in all scenarios of a batch.
 
-    The driver moves the entity along lanes and trajectories, or steers it. On a trajectory with times there is nothing
-    to decide. `parameters` has values of the driver's parameters by name, one value per scenario. `number` is the index
-    in `World.drivers`. `in_fleet` says whether compiled code makes the driver's decisions.
+    The driver moves the entity along lanes and trajectories, or steers it. On a trajectory with times, the driver
+    decides nothing, since the times determine the motion. `parameters` has values of the driver's parameters by name,
+    one value per scenario. `number` is the index in `World.drivers`. `in_fleet` says whether compiled code makes the
+    driver's decisions.
     """
 
     def __init__(

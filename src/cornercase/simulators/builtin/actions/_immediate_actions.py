@@ -205,7 +205,7 @@ def _read_signal_controller_action(
 
 
 class TrafficSignalStateAction(Action):
-    """Action that switches a traffic signal, whose state conditions and drivers read."""
+    """Action that switches a traffic signal; conditions and drivers then read the new state of the signal."""
 
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int | None) -> None:
         self._name, self._state = scope.read_text(element, "name"), scope.read_text(element, "state")

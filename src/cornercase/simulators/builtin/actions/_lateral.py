@@ -34,7 +34,7 @@ _DISTANCE_TOLERANCE: Final = 0.01
 
 
 class LaneChangeAction(CompiledAction):
-    """Action that moves an entity to another lane; a part of the entity's speed becomes lateral motion."""
+    """Action that moves an entity to another lane; the lateral motion reduces the entity's speed along the lane."""
 
     domains = (LATERAL,)
     memory_attributes = ("_from", "_to", "_done", "_extent")
@@ -75,7 +75,7 @@ class LaneChangeAction(CompiledAction):
         update_pose_on_track(world, e, where)
 
     def release(self, world: World, where: BoolArray) -> None:
-        """Leave the entity in its present lane, or in the target lane if it follows a route."""
+        """Make the entity follow its present lane; an entity with a route follows the target lane instead."""
         world.changes_lanes[self._entity][where] = False
         attach_to_lane(world, self._entity, where & (world.route[self._entity] == 0))
 

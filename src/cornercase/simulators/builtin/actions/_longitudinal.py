@@ -76,7 +76,8 @@ class SpeedAction(CompiledAction):
 class LongitudinalDistanceAction(CompiledAction):
     """Action that keeps a distance or a time gap to another entity, like a critically damped spring.
 
-    Limits that are not set are taken from the vehicle. Without dynamic constraints, the entity jumps to its position.
+    Limits that the file does not set are taken from the vehicle. If the file has no ``DynamicConstraints``, the entity
+    jumps to the wanted distance.
     """
 
     domains = (LONGITUDINAL,)
@@ -157,7 +158,10 @@ class LongitudinalDistanceAction(CompiledAction):
 def _read_limit(
     limits: etree._Element | None, name: str, vehicle_limit: float, default: float, scope: Scope
 ) -> FloatArray:
-    """Read a limit for each scenario: `vehicle_limit` if none or a larger limit is given, `default` if 0 is given."""
+    """Read a limit on the motion for each scenario; no limit exceeds `vehicle_limit`.
+
+    A missing limit means `vehicle_limit`. A limit of 0 means `default`, or `vehicle_limit` if that is smaller.
+    """
     vehicle_limit = min(vehicle_limit, _UNLIMITED)
     limit = (
         np.full(scope.n_scenarios, vehicle_limit) if limits is None else scope.read_numbers(limits, name, vehicle_limit)

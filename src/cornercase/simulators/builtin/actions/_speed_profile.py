@@ -45,8 +45,9 @@ class SpeedProfileAction(Action):
     """Action that brings an entity to given speeds at given times.
 
     With the following mode ``position``, the acceleration between two times is constant. With ``follow``, the
-    acceleration changes with the allowed jerk, so speeds in between are only approached. If the limits do not permit
-    that, the rest of the profile is run as with ``position``, and so is the whole profile if the action runs again.
+    acceleration changes gradually, with the allowed jerk. The entity then reaches the last speed, and only comes close
+    to the speeds before. From the time at which the limits do not permit this, the entity moves as with ``position``;
+    if the action then runs again, the entity moves as with ``position`` all the time.
     """
 
     domains = (LONGITUDINAL,)
@@ -166,11 +167,12 @@ def _select_phase(where: BoolArray, inside: ProfilePhase, outside: ProfilePhase)
 def _smooth_corners(
     lines: list[ProfilePhase], acceleration: FloatArray, limits: ProfileLimits
 ) -> tuple[list[ProfilePhase], BoolArray]:
-    """Replace each corner between phases of constant acceleration by an arc of constant jerk.
+    """Replace each corner of a speed profile (a jump of the acceleration) by an arc of constant jerk.
 
-    An arc is tangent to the phases before and after. `acceleration` has the initial acceleration in m/s² for each
-    scenario. If an arc would begin before the previous arc ends, or exceeds a limit, this corner and all later corners
-    stay. Returns the phases, and a mask of the scenarios in which all corners are replaced.
+    Drawn as speed over time, an arc is tangent to the straight lines before and after it. `acceleration` has the
+    initial acceleration in m/s² for each scenario. If an arc would begin before the previous arc ends, or would exceed
+    a limit, its corner and all later corners stay. Returns the phases, and a mask of the scenarios without remaining
+    corners.
     """
     first, zeros = lines[0], np.zeros_like(acceleration)
     jerk = _signed_jerk(first.acceleration - acceleration, limits)

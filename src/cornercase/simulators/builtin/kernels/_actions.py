@@ -245,8 +245,9 @@ def _transition_slope(shape, fraction):
 def _apply_speed_action(scene, actions, n, j, dt):
     """Apply a speed action for one time step, and return the outcome.
 
-    The speed changes from a start to an end value while a parameter grows from 0 to the span, both in s. Stored values:
-    start and end speed, parameter, span, stretch factor, if the end is reached, relative value, rate.
+    While a parameter in s grows from 0 to the span in s, the speed changes from its start value to its end value.
+    Stored values: start and end speed, parameter, span, factor by which the change takes longer than the span, whether
+    the end is reached, target value in the file, rate of change in the file.
     """
     options, memory, state = actions.options[j], actions.memory[n, j], scene.floats[n]
     e, shape, dimension, reference, factor, continuous = options[1:7]
@@ -292,8 +293,9 @@ def _apply_speed_action(scene, actions, n, j, dt):
 def _apply_trajectory_action(scene, tracks, actions, n, j, dt):
     """Apply an action that follows a trajectory for one time step, and return the outcome.
 
-    Stored values: sign, whether the file gave the heading before, clock offset in s, number of the trajectory among the
-    entity's tracks. The sign is -1 if the entity points against the line, so it drives forwards towards the start.
+    Stored values: sign, whether the trajectory gave the heading in the previous step, clock offset in s, number of the
+    trajectory among the entity's tracks. The sign is -1 if the entity points backwards along the trajectory, so that
+    driving forwards takes the entity towards the start of the trajectory; otherwise the sign is 1.
     """
     options, memory, state = actions.options[j], actions.memory[n, j], scene.floats[n]
     e, is_timed = options[1], options[2]
@@ -348,7 +350,8 @@ def _apply_trajectory_action(scene, tracks, actions, n, j, dt):
 def _apply_lane_change(scene, tracks, roads, actions, n, j, dt):
     """Apply a lane change for one time step, and return the outcome.
 
-    Stored values: lateral offset at start and end in m; progress and extent, both in s or m.
+    Stored values: lateral offset in m at the start and at the end of the change; progress and extent of the change,
+    both in s, or both in m if the dimension of the change is distance.
     """
     options, memory, state, flags = actions.options[j], actions.memory[n, j], scene.floats[n], scene.flags[n]
     e, shape, dimension = options[1], options[2], options[3]

@@ -98,8 +98,8 @@ class ConditionSpec(NamedTuple):
 class ConditionTable(NamedTuple):
     """Conditions of N scenarios as arrays for kernels.
 
-    The T triggers consist of G groups, the groups of C conditions, and the conditions of L leaf conditions.
-    D is the number of delayed conditions and signal controllers, which change at known times.
+    All T triggers together have G groups, all groups have C conditions, and all conditions have L leaf conditions.
+    D is the number of delayed conditions plus signal controllers; both change at times that are known beforehand.
     """
 
     codes: IntArray  # (L, 5): kind, entity (-1 for none), other entity, rule, option
@@ -124,8 +124,9 @@ def build_condition_table(
 ) -> ConditionTable:
     """Build the table of conditions for kernels.
 
-    `specs` holds the conditions of each group of each trigger. `others` are conditions of triggers that Python
-    evaluates; their leaves come last. `delays` has an array (N,) in s for each delayed condition and signal controller.
+    `specs` holds the conditions of each group of each trigger. `others` are the conditions that belong to triggers that
+    Python evaluates; the leaf conditions of `others` come last in the table. `delays` has an array (N,) in s for each
+    delayed condition and signal controller.
     """
     leaves: list[tuple[int, LeafCondition]] = []
     conditions: list[tuple[int, int, bool]] = []
@@ -213,9 +214,9 @@ def _is_never_met(table, n, group):
 
 @_inlined_kernel
 def is_unchanged(scene, table, watchlist, n):
-    """Return whether Python need not evaluate the storyboard: no trigger fires, and no condition with memory changes.
+    """Return False if Python has to evaluate the storyboard of a scenario now, otherwise True.
 
-    Conditions with memory have an edge or a delay.
+    Python has to do this if a trigger fires, or if a condition with memory (an edge or a delay) changes.
     """
     for d in range(table.pending_since.shape[1]):
         if table.pending_since[n, d] <= scene.time[n] - table.delay[n, d] + TOLERANCE:
@@ -235,7 +236,10 @@ def is_unchanged(scene, table, watchlist, n):
 
 @_inlined_kernel
 def _group_holds(scene, table, n, group):
-    """Return whether all conditions of a group hold; each condition must hold for any or for all of its entities."""
+    """Return whether all conditions of a group hold.
+
+    A condition must hold for all of its entities or for at least one, as the scenario file says.
+    """
     for c in range(table.groups[group, 0], table.groups[group, 1]):
         first, last, for_every = table.conditions[c]
         k, holding = first, for_every > 0

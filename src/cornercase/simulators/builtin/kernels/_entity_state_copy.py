@@ -39,9 +39,9 @@ _STARTS: Final = (FROM_X, FROM_Y, FROM_HEADING, BEFORE)
 def copy_driver_inputs(floats, flags, entity, is_at_start, begin, own, others):
     """Copy the state of an entity to `own` (7, N), and the state of the A other entities to `others` (4, A, N).
 
-    Entities that are absent or hidden by an action get NaN. Actions may have moved entities in this step already. With
-    `is_at_start`, all poses and the speeds of the other entities are copied as at the start of the step. `begin` (3, N)
-    always receives the entity's own pose at the start of the step.
+    Actions may have moved entities in this time step already. If `is_at_start`, the poses of all entities and the
+    speeds of the other entities are nevertheless those at the start of the time step. `begin` (3, N) always receives
+    the entity's own pose at the start. Other entities that are absent or hidden by an action get NaN.
     """
     for n in range(floats.shape[0]):
         for q in range(len(OWN_ROWS)):

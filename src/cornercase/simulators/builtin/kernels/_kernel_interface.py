@@ -28,7 +28,7 @@ _NO_POINTS: Final = np.empty((2, 0))
 class KernelInterface:
     """Access from Python to the kernels for actions, distances and overlaps in a batch of scenarios.
 
-    The world refers to this object only weakly.
+    The world holds only a weak reference to this object, so that the recordings are freed together with the batch.
     """
 
     def __init__(

@@ -187,7 +187,10 @@ def _run_scenarios(scene, tracks, roads, fleet, actions, conditions, loop, optio
 
 @_inlined_kernel
 def _list_actions_and_wake_entities(scene, actions, loop, n, buffers):
-    """List the running actions, and mark each entity as moved by an action, driver or vehicle, or else as awake."""
+    """List the running actions, and mark each entity as `EXTERNALLY_MOVED` or as `AWAKE`.
+
+    Externally moved are the entities of compiled actions and of drivers, and vehicles with their trailers.
+    """
     rest, running = buffers.activity, buffers.saved.running
     for e in range(rest.size):
         rest[e] = AWAKE
@@ -242,9 +245,9 @@ def _does_driver_decide_speed(scene, tracks, n, driver, e):
 
 @_inlined_kernel
 def _can_kernels_move_entity(scene, tracks, fleet, n, driver, e):
-    """Return whether kernels can move a driven entity instead of Python.
+    """Return whether kernels can move the entity of a driver; otherwise Python has to move the entity.
 
-    The driver has to be compiled. Kernels steer a vehicle along lanes only.
+    The driver has to be compiled. If the driver steers a vehicle model, the entity must also be on a lane.
     """
     if fleet.kind[driver] == NOT_COMPILED:
         return False

@@ -68,8 +68,8 @@ _inlined_kernel = kernel(error_model="numpy", _nrt=False, forceinline=True)
 def move_entities(scene, tracks, n, dt, activity):
     """Move all entities of a scenario by one time step at their present speeds, and advance the clock by `dt` s.
 
-    With `dt` 0, entities are only placed on their tracks. Updates `activity` (E,), which is `AWAKE` and so on. Returns
-    whether an entity needs the next part of its lane path.
+    With `dt` 0, entities are only placed on their tracks. Updates the activity of each entity, such as `AWAKE`, in
+    `activity` (E,). Returns whether an entity needs the next part of its lane path.
     """
     state, flags, numbers = scene.floats[n], scene.flags[n], scene.integers[n]
     entities, needs_lane = state.shape[1], False
@@ -179,7 +179,7 @@ def set_speed(scene, n, e, speed):
 
 @_inlined_kernel
 def _stop_at_road_ends(scene, tracks, n, dt, activity):
-    """Set the speed of each entity to 0 that is at the end of its road and did not move in the last step, as esmini."""
+    """Set the speed to 0 for entities that are at the end of their road and did not move, as esmini does."""
     state, flags = scene.floats[n], scene.flags[n]
     for e in range(state.shape[1]):
         if activity[e] == RESTING or not (flags[PRESENT, e] and state[AT_END_SINCE, e] < scene.time[n] + 0.5 * dt):
@@ -244,7 +244,8 @@ def _velocity_along_heading(state, e):
 def record_frame(scene, n, first_scenario, dt, activity):
     """Record the state of all entities of a scenario; return whether a collision has begun.
 
-    `first_scenario` is the first of the scenarios that the same thread runs. `activity` (E,) is `AWAKE` and so on.
+    `first_scenario` is the first of the scenarios that the same thread runs. `activity` (E,) has the activity of
+    each entity, such as `AWAKE`.
     """
     state, flags, numbers, frame = scene.floats[n], scene.flags[n], scene.integers[n], scene.n_frames[n]
     entities = state.shape[1]

@@ -31,7 +31,8 @@ def run_scenarios(
 ) -> None:
     """Call `run_until_storyboard` for the scenarios [first, last).
 
-    If this kernel is not compiled yet, Python interprets it scenario by scenario while that takes less time.
+    If this kernel is not compiled yet, Python first interprets it, scenario by scenario. The kernel is compiled when
+    the remaining scenarios would take too long (see `can_interpret`).
     """
     arguments = (scene, tracks, roads, fleet, actions, conditions, loop, options, first, last)
     if not can_interpret(0.0, is_loop=True) or run_until_storyboard.has_machine_code(*arguments):

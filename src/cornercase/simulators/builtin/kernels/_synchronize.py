@@ -213,9 +213,10 @@ def _road_position(scene, tracks, n, e, row):
 def _distance_to_destination(scene, tracks, roads, memory, destination, n, e):
     """Return an outcome, and the distance in m from an entity to its destination (negative once passed).
 
-    The distance is measured along the reference line if both are on the same road, otherwise along the track. Without a
-    track it is a straight line. `NEEDS_PYTHON` means that Python must locate the entity on its road after the earlier
-    actions; `NEEDS_LOOKUP` that Python must locate the destination on the track. `ACTION_APPLIED` means success.
+    If entity and destination are on the same road, the distance is measured along the reference line, otherwise along
+    the entity's track. Without a track, the straight distance is used. The outcome `ACTION_APPLIED` means success.
+    `NEEDS_PYTHON`: first, Python must locate the entity on its road, after the actions that come earlier in this frame.
+    `NEEDS_LOOKUP`: first, Python must locate the destination on the track.
     """
     state, track = scene.floats[n], scene.integers[n, TRACK, e]
     row = tracks.rows[e, track] if track >= 0 else -1
@@ -242,10 +243,10 @@ def _distance_to_destination(scene, tracks, roads, memory, destination, n, e):
 
 @_kernel
 def _speed_along_road(scene, tracks, roads, n, e):
-    """Return whether the speed along the road is known, and the absolute speed along the road in m/s.
+    """Return whether an entity's speed along the road is known, and the absolute value of this speed in m/s.
 
-    This is the mean velocity of the last step, projected onto the direction of the road at the end of the step. Without
-    a road, the velocity is projected onto the heading.
+    The mean velocity in the last step is projected onto the direction of the road at the end of the step. Without
+    roads, the velocity is projected onto the entity's heading.
     """
     state, numbers = scene.floats[n], scene.integers[n]
     track = numbers[TRACK, e]
@@ -275,8 +276,8 @@ def _speed_along_road(scene, tracks, roads, n, e):
 def _speed_for_arrival(speed, has_driver, memory, distance, time, is_approaching, dt):
     """Return the speed in m/s at the end of the step, for arrival in `time` s without a given final speed.
 
-    The acceleration is constant. An entity with a driver gets the mean speed as target. If the master does not approach
-    its destination, the entity waits.
+    The acceleration is constant. A driver of the entity chooses the acceleration itself, and gets the mean speed until
+    arrival as target speed. While the master does not approach its destination, the entity waits.
     """
     mean_speed = distance / time
     if has_driver:

@@ -165,7 +165,10 @@ def _move_along_roads(world: World, base: Pose, ds: FloatArray) -> Pose:
 
 
 def _mark_end_of_road(pose: Pose, moved: Pose, element: etree._Element, scope: Scope) -> Pose:
-    """Return `pose` marked as beyond the road in the scenarios in which `moved` is, as the road ended on the path."""
+    """Return `pose`, marked as beyond the end of the road in all scenarios in which `moved` has this mark.
+
+    `pose` was computed from `moved`, a pose that was moved along the roads.
+    """
     assert pose.is_beyond_road is not None
     assert moved.is_beyond_road is not None
     location = f"{Path(scope.file_name).name}, line {element.sourceline}"
@@ -265,7 +268,10 @@ def _read_route_position(element: etree._Element, scope: Scope, world: World) ->
 def _locate_distances_on_route(
     network: RoadNetwork, waypoints: list[Pose], distance: FloatArray
 ) -> tuple[IntArray, FloatArray, BoolArray]:
-    """Return road index, s in m, and if the route runs along s, at distances in m along a route, shape (N,) each."""
+    """Return where a point at a distance in m along a route is: road index, s in m, and if the route runs along s.
+
+    Each result has one value per scenario, shape (N,).
+    """
     roads = np.stack([pose.road_coordinates()[0] for pose in waypoints])
     _, first_lane, first_s = waypoints[0].road_coordinates()
     section = np.zeros(len(distance), dtype=np.int64)

@@ -51,9 +51,10 @@ class TimeConversion:
     shift: FloatArray
 
     def convert(self, file_times: FloatArray) -> FloatArray:
-        """Convert times in s from the file, shape (N, V).
+        """Convert times in s from the file, shape (N, V): one row of V successive times per scenario.
 
-        If the last time is the latest, a time that goes back is replaced by the latest time before it.
+        If the last time of a row is the largest, the converted times never decrease: a smaller time is replaced by the
+        largest time before it.
         """
         times = file_times * self.scale[:, None] + self.shift[:, None]
         latest = np.maximum.accumulate(times, axis=1)
@@ -89,9 +90,9 @@ def read_trajectory(
 
 
 def has_times(holder: etree._Element, scope: Scope) -> bool:
-    """Return whether the trajectory in an element has times, which must differ from each other to count.
+    """Return whether the trajectory in an element has times; times that are all equal count as no times.
 
-    Raises `BatchSplitError` if this is so in some scenarios only.
+    Raises `BatchSplitError` if the trajectory has times in some scenarios only.
     """
     element, inner = scope.resolve_element_or_reference(holder, "Trajectory")
     timed = [
@@ -252,7 +253,10 @@ def _read_clothoids(
 def _read_segment_times(
     element: etree._Element, segments: list[etree._Element], length: FloatArray, scope: Scope
 ) -> FloatArray:
-    """Return the times in s at which spline segments begin, and the last ends; missing times are interpolated."""
+    """Return the times in s at which the segments of a spline begin, and the time at which the last segment ends.
+
+    Missing times are interpolated.
+    """
     given: dict[int, FloatArray] = {
         k: scope.read_numbers(segment, "timeStart")
         for k, segment in enumerate(segments)

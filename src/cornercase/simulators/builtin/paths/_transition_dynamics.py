@@ -44,8 +44,8 @@ class TransitionDynamics:
         """Return the duration in s of a change of speed, and the factor that stretches this duration, shape (N,) each.
 
         The factor limits the slope to `max_slope` in m/s². Speeds are in m/s; `unlimited_end` is the final speed before
-        it is limited to the vehicle's maximum speed. With the dimension rate, the duration is 0 here: kernels compute
-        it, since it depends on the speed of another entity.
+        it is limited to the vehicle's maximum speed. With the dimension rate, the returned duration is 0, since kernels
+        compute the duration in each step: the final speed may follow the speed of another entity.
         """
         change, peak = np.abs(end - start), _PEAK_SLOPE[self.shape]
         if self.shape == "step":
@@ -97,7 +97,7 @@ def check_dynamics_shape(shape: str, element: etree._Element, scope: Scope) -> N
 def duration_at_peak_acceleration(shape: str, change: FloatArray, max_acceleration: FloatArray) -> FloatArray:
     """Return the duration in s of a lateral change of `change` m whose peak acceleration is `max_acceleration` in m/s².
 
-    A linear change counts as cubic.
+    A linear change gets the duration of a cubic change, since its lateral acceleration has no finite peak.
     """
     with np.errstate(divide="ignore"):
         if shape == "step":

@@ -26,8 +26,8 @@ class StateWatcher:
     """Condition that waits for a state or a transition of a storyboard element.
 
     `state` names the state or transition, such as ``"runningState"``; `location` starts error messages. A transition is
-    remembered until the next evaluation, which may be late. As in esmini, a transition that is cleared before is never
-    seen.
+    remembered until the condition is evaluated next, which may be several frames later. If `clear_changes` is called
+    before then, the condition never sees the transition, as in esmini.
     """
 
     def __init__(self, state: str, scenarios: int, location: str) -> None:
@@ -70,8 +70,8 @@ class Element:
 
     A change of state takes effect immediately: elements that come later in the file see the change in the same frame,
     all other elements in the next frame. `kind` is a ``storyboardElementType``. Without a start trigger, the element
-    starts as soon as possible. The element is complete after `max_executions` executions; None means that it is
-    complete as soon as it ends.
+    starts as soon as possible. The element is complete after `max_executions` executions, or as soon as it ends if
+    `max_executions` is None.
     """
 
     def __init__(

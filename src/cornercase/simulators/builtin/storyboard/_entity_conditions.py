@@ -78,7 +78,10 @@ _COMPONENTS: Final = {
 
 
 def _make_threshold_reader(kind: int, attribute: str) -> ConditionReader:
-    """Return a function that reads a condition: a property of the entity exceeds the number in `attribute`."""
+    """Return a function that reads a condition, which holds if a property of the entity exceeds a number in the file.
+
+    `attribute` is the XML attribute with this number.
+    """
     return lambda element, scope, world: (LeafCondition(kind, values=(scope.read_numbers(element, attribute),)),)
 
 
@@ -136,7 +139,10 @@ GapTest = Callable[[World, int, int, FloatArray, Comparison], Any]
 
 
 def _read_gap_condition(kind: int, holds: GapTest, element: etree._Element, other: int, scope: Scope) -> EntityTest:
-    """Read a condition on the distance to the entity `other`; `holds` is used if compiled code cannot measure it."""
+    """Read a condition on the distance to the entity `other`.
+
+    `holds` is the test in Python, which is used if compiled code cannot measure the distance.
+    """
     gap, rule = read_distance_measure(element, scope), read_comparison_rule(element, scope)
     value, kernel_kind = scope.read_numbers(element, "value"), gap.kernel_kind(to_entity=True)
     if kernel_kind is not None:

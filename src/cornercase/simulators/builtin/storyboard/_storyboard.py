@@ -100,7 +100,10 @@ class Storyboard:
         return np.asarray(self._stopped | (self._states[self._untriggered_rows] == STANDBY).any(axis=0))
 
     def add_element_watcher(self, kind: str, name: str, watch: StateWatcher, location: str) -> None:
-        """Note that a condition waits for the element with a type and name; connected once all elements are read."""
+        """Note that a condition waits for the element with a type and name.
+
+        Condition and element are connected once all elements are read.
+        """
         self._watches.append((kind, name, watch, location))
 
     def find_element(self, kind: str, name: str) -> Element | None:
@@ -137,7 +140,7 @@ class Storyboard:
             story.evaluate_triggers(world, world.running & self._is_active)
 
     def would_continue(self) -> BoolArray:
-        """Return the scenarios that could go on after the run: a stop trigger may fire, or a timed action runs."""
+        """Return the scenarios that a longer run would continue: a stop trigger may fire, or a timed action runs."""
         all_scenarios = np.ones(self._world.scenarios, dtype=np.bool_)
         result = self._stop.may_fire(self._world)
         for act in (act for story in self.stories for act in story.children if isinstance(act, ElementGroup)):
@@ -154,7 +157,7 @@ class Storyboard:
             action.look_up_positions(where)
 
     def end_instantaneous_actions(self) -> None:
-        """End all running actions that take effect when they start; this has no influence on other actions."""
+        """End all running actions that take effect when they start; their end does not influence other actions."""
         for action in self._momentary:
             action.step(0.0, self._world.running)
 
