@@ -475,7 +475,7 @@ def test_an_ego_of_another_program_is_waited_for_and_left_alone(scenario):
 def test_an_ego_of_another_program_has_no_other_driver():
     for driver in ("normal", "cc-human"):
         with pytest.raises(
-            InputError, match="external_ego: Ego already has an agent or a driver; leave out one of them"
+            InputError, match="external_ego: Ego already has an agent or a driver; leave out that or external_ego"
         ):
             Carla(external_ego=True, drivers={"Ego": driver})
 

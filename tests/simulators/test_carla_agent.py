@@ -261,7 +261,7 @@ def test_what_carla_cannot_do_with_a_driver_is_refused(tmp_path):
             Carla(scenario_runner=str(RUNNER), **options)
         return str(caught.value)
 
-    assert "Any other driver can drive the ego (Ego) only." in refused(drivers={"C": Aeb()})
+    assert "Drivers that are no behaviour agents can drive the ego (Ego) only." in refused(drivers={"C": Aeb()})
     (tmp_path / "agent.py").write_text("")
     assert "already drives the ego; leave out this driver or the agent" in refused(
         drivers={"Ego": Aeb()}, agent=str(tmp_path / "agent.py")

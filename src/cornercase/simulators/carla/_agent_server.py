@@ -31,7 +31,7 @@ _FADING_TIME: Final = 0.5
 
 
 class AgentServer:
-    """Server that decides in a thread how the ego moves in one run, by a driver of cornercase.
+    """Server that lets a driver of cornercase decide, in a thread of its own, how the ego moves in one run.
 
     `folder`: folder of the run, into which the agent's configuration is written. `failure`: error of the driver, if it
     has failed. The ego has the path and the target speed that it has at the start of the scenario in the builtin
@@ -218,8 +218,9 @@ class _SituationRecorder(DrivingFunction):
 def _observe_initial_situation(concrete: ConcreteScenario, ego: str, time_step: float) -> tuple[Start, Situation]:
     """Return what the ego's driver is given at the start of a scenario in the builtin simulator.
 
-    Raises `InputError` if no driver could decide anything. Raises `SimulationError` if only the values are at fault,
-    since a driver could decide with the values of the scenario file.
+    Raises an error if the run fails, or if no driver could decide since the ego moves along no lane or path. The error
+    is a `SimulationError` if the scenario works with the values of its file, so that only the values of `concrete` are
+    at fault; otherwise an `InputError`.
     """
     try:
         return _simulate_initial_situation(concrete, ego, time_step)

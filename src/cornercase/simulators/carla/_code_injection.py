@@ -25,10 +25,10 @@ _SUPPORTED_CRITERIA: Final = (
 
 
 def pop_criteria(root: etree._Element) -> dict[str, etree._Element]:
-    """Remove the criteria of ScenarioRunner from all stop triggers; return their conditions by name of the criterion.
+    """Remove the criteria of ScenarioRunner from all stop triggers; return the conditions of criteria, by their names.
 
-    ScenarioRunner judges a run by its criteria. Written as conditions, they never become true, so their groups are
-    removed.
+    Criteria are tests by which ScenarioRunner judges a run. A stop trigger contains criteria as conditions that
+    never become true. Condition groups with such a condition are removed, since they could not become true either.
     """
     declared = {declaration.get("name") for declaration in root.iterfind("ParameterDeclarations/ParameterDeclaration")}
     criteria: dict[str, etree._Element] = {}
@@ -61,7 +61,8 @@ def add_criteria(root: etree._Element, criteria: Mapping[str, etree._Element]) -
 def refuse_code_injection(root: etree._Element, source: Path) -> None:
     """Raise `InputError` if a scenario names code that ScenarioRunner would execute.
 
-    These are user-defined actions, controllers that are not ScenarioRunner's own, and conditions named like classes.
+    Such code is named by user-defined actions, by controllers that are not ScenarioRunner's own, and by conditions
+    whose names start with ``criteria_``.
     """
     for action in root.iter("UserDefinedAction"):
         command = action.find("CustomCommandAction")
@@ -75,7 +76,7 @@ def refuse_code_injection(root: etree._Element, source: Path) -> None:
             raise InputError(
                 f"{source}: a controller names the module '{module.get('value')}', which is not one of ScenarioRunner's"
                 f" own."
-                " Code that a scenario names is not run; remove it, and give your agent as `simulator`"
+                " Code that a scenario names is not run; remove this controller, and give your agent as `simulator`"
                 " carla:agent=FILE."
             )
     for condition in root.iter("Condition"):

@@ -53,7 +53,7 @@ def assign_controllers(
     agents: DrivingAgents,
     trajectories: Mapping[str, Mapping[str, str]],
 ) -> set[Path]:
-    """Assign controllers to entities that ScenarioRunner's own controls cannot move; return their files.
+    """Assign controllers to entities that ScenarioRunner's own controls cannot move; return the controllers' files.
 
     Entities with an initial route get a controller of cornercase, since ScenarioRunner does not execute routes.
     `trajectories`: properties of the controllers that move entities along trajectories, by entity. `source` names the
@@ -96,7 +96,7 @@ def assign_controllers(
 
 
 def _pop_initial_route(private: etree._Element) -> etree._Element:
-    """Remove the initial route of an entity; return an element with its positions, empty without a route."""
+    """Remove the initial route of an entity; return an element with the route's positions, none without a route."""
     route = etree.Element("route")
     for action in private.findall("PrivateAction"):
         routing = action.find("RoutingAction")

@@ -45,9 +45,9 @@ def plan_movements(
 ) -> MovementPlan:
     """Decide how each entity is moved: by an agent, by the storyboard or along a trajectory.
 
-    An entity that does not react to agent-driven entities moves the same way in each run. If ScenarioRunner deviates
-    from its storyboard, the entity therefore follows a trajectory. An entity that reacts is moved by the storyboard, as
-    long as ScenarioRunner does something similar.
+    An entity that does not react to agent-driven entities moves the same way in each run. If ScenarioRunner would
+    deviate from the storyboard, such an entity therefore follows a trajectory of the builtin simulator. An entity that
+    reacts to agent-driven entities is moved by the storyboard, as long as ScenarioRunner does something similar.
 
     `driven`: agent-driven entities. `source` names the scenario in messages. `carla_map_name`: CARLA's map, empty if
     there is a road file. `deviations`: reasons why ScenarioRunner's own controls would move an entity along another
@@ -79,8 +79,8 @@ def plan_movements(
             reasons.append("it has a driver of cornercase")
         if carla_map_name and name in result.sampled:
             raise InputError(
-                f"{source}: ScenarioRunner cannot execute the motion of '{name}' ({result.sampled[name][0]}), and a"
-                f" trajectory instead needs a road file besides CARLA's map {carla_map_name};"
+                f"{source}: ScenarioRunner cannot execute the motion of '{name}' ({result.sampled[name][0]}). To"
+                f" replace this motion by a trajectory, cornercase needs the road file of {carla_map_name};"
                 f" {describe_how_to_get_map(carla_map_name)}."
             )
         if reasons and name not in reacting and not carla_map_name:
@@ -156,7 +156,7 @@ def _find_elements_moving_entity(root: etree._Element, name: str) -> Iterator[et
 def refuse_unsupported(root: etree._Element, source: Path) -> None:
     """Raise `InputError` for the first element or attribute that cannot be converted for ScenarioRunner.
 
-    The support table refuses such content, or does not contain it.
+    The support table marks such content as refused, or has no row for it.
     """
     for finding in find_unsupported(root):
         if finding.row.status is HandlingStatus.REFUSED:

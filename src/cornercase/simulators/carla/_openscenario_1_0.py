@@ -164,8 +164,8 @@ class ConversionOptions:
     an entity may move along a trajectory although it should react to an agent-driven entity. `road_file`: path of the
     copied road file, relative to the folder of the new file (default: next to it). `controllers`: folder of
     cornercase's controllers, relative to the same folder. `with_criteria`: whether ScenarioRunner judges the run by the
-    criteria of the scenario. `is_run`: whether only cornercase runs the file; it then gives trajectories to
-    controllers, instead of writing them into the storyboard. `knows_left_hand_traffic`: whether CARLA's client
+    criteria of the scenario. `is_run`: whether the file is only for a run by cornercase; trajectories are then given
+    to controllers, instead of being written into the storyboard. `knows_left_hand_traffic`: whether CARLA's client
     recognizes left-hand traffic in a road file, as in 0.9.16 and later.
     """
 
@@ -288,8 +288,8 @@ def _make_tree_1_0(
         if name in actor_plan.reacting:
             raise InputError(
                 f"{scenario.path}: '{name}' has to react to {' and '.join(sorted(driven))}, but ScenarioRunner cannot"
-                f" execute its motion ({actor_plan.sampled[name][0]}); with `simulator` carla:open_loop=true it moves"
-                " as in the builtin simulator, without reacting."
+                f" execute the motion of '{name}' ({actor_plan.sampled[name][0]}); with `simulator`"
+                f" carla:open_loop=true '{name}' moves as in the builtin simulator, without reacting."
             )
     if options.is_run and not options.knows_left_hand_traffic and road is not None and not map_name:
         by_lanes = [*options.agents.driven_by_route(ego), *(actor_plan.reacting - set(actor_plan.sampled))]

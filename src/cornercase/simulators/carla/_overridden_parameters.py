@@ -17,10 +17,10 @@ _ROUTE_OR_POSITION: Final = ("TeleportAction", "RoutingAction")
 def describe_overridden_parameters(
     scenario: ScenarioFile, driven: Collection[str], *, externally: Collection[str], obeying: Collection[str]
 ) -> Iterator[str]:
-    """Yield a sentence on each parameter that has no effect because a driver decides what the parameter sets.
+    """Yield a sentence on each parameter that has little or no effect because a driver moves the entity instead.
 
-    `driven`: entities with a driver. `externally`: driven entities that do not even take their first speed or a route
-    from the scenario. `obeying`: driven entities whose drivers go on at the first speed.
+    `driven`: entities with a driver. `externally`: driven entities that take neither the first speed nor the route from
+    the scenario. `obeying`: driven entities whose drivers keep the first speed of the scenario.
     """
     names = {
         element.get("name", "") for element in scenario.root.iterfind("ParameterDeclarations/ParameterDeclaration")

@@ -20,9 +20,10 @@ _LANE_CONTENT: Final = f'<width sOffset="0" a="{VERGE_WIDTH:g}" b="0" c="0" d="0
 def road_text_for_carla(root: etree._Element) -> str:
     """Return the text of a road file for CARLA, with ground beside flat roads and road marks on all lanes.
 
-    The text begins with a plain ``<OpenDRIVE>``: ScenarioRunner 0.9.13 finds no other root element, and loads a map
-    again if its text differs. CARLA makes ground from all lanes. The added lanes have the type ``none``, so they do not
-    change CARLA's waypoints and routes.
+    The text begins with ``<OpenDRIVE>`` without attributes, since ScenarioRunner 0.9.13 searches for exactly this tag.
+    ScenarioRunner compares the text from there on with the text of the loaded map, and loads the map again if they
+    differ. CARLA makes ground from all lanes, so lanes are added as ground. The added lanes have the type ``none``, so
+    they do not change CARLA's waypoints and routes.
     """
     root = etree.fromstring(etree.tostring(root))
     for element in root.iter("*"):
@@ -41,7 +42,7 @@ def road_text_for_carla(root: etree._Element) -> str:
 def is_flat(root: etree._Element) -> bool:
     """Return whether all roads are level and at the same height.
 
-    Ground beside one road is then no step on another road.
+    Otherwise, ground beside one road could form a step on another road.
     """
     heights = set()
     for road in root.iterfind("{*}road"):
@@ -56,9 +57,9 @@ def is_flat(root: etree._Element) -> bool:
 
 
 def find_entities_beyond_ground(recording: Recording, network: RoadNetwork, width: float) -> dict[str, float]:
-    """Return the entities that leave the ground of CARLA's generated world, with their distances from the roads.
+    """Return the largest distance from the roads in m of each entity that leaves the ground of CARLA's generated world.
 
-    The distance is the largest one of each entity in m. `width` is the width of the ground beside the roads in m.
+    `width` is the width in m of the ground beside the roads.
     """
     distances = {}
     for k, name in enumerate(recording.names):

@@ -23,7 +23,7 @@ _VERSION_PATTERN: Final = re.compile(r"^## CARLA ScenarioRunner (\d[\w.]*)", re.
 
 
 def describe_download(version: str) -> str:
-    """Return a clause on how to get a version of ScenarioRunner, which follows "get" and the version."""
+    """Return how to download a version of ScenarioRunner, for a message such as "get 0.9.15 by `git clone …`"."""
     command = f"git clone --branch v{version} https://github.com/carla-simulator/scenario_runner"
     return f"by `{command}` and set {RUNNER_VARIABLE} to its folder"
 
@@ -72,7 +72,7 @@ class RunnerEnvironment:
 
     def check_versions(self, client: str, server: str, address: str) -> None:
         """Raise `InputError` unless ScenarioRunner, client and server have the same version."""
-        any_version = "; with `simulator` carla:any_version=true it is tried all the same."
+        any_version = "; with `simulator` carla:any_version=true cornercase tries to run the scenario all the same."
         for version in (server, client):
             if version.split(".")[:2] == ["0", "10"]:
                 raise InputError(

@@ -39,8 +39,8 @@ class RunnerProcess:
     def start(self, folder: Path, log: Path, drivers: Path, frame_rate: float, arguments: Sequence[object]) -> None:
         """Start a scenario in `folder`.
 
-        `log`: file for its output. `drivers`: folder of Python modules that it needs. `frame_rate`: in Hz. `arguments`:
-        command-line arguments of ScenarioRunner.
+        `log`: file for the output of ScenarioRunner. `drivers`: folder of the controllers (Python modules) that the
+        scenario needs. `frame_rate`: in Hz. `arguments`: command-line arguments of ScenarioRunner.
         """
         request = {
             "folder": str(folder.resolve()),

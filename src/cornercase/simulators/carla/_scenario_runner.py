@@ -38,7 +38,7 @@ _MAX_LINE: Final = 300
 
 
 class SilenceError(SimulatorError):
-    """Error if no frame has come for too long, whether because of the server or of ScenarioRunner."""
+    """Error if no frame has come for too long, due to the server or to ScenarioRunner."""
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,7 @@ def _wait_for_end_or_limit(
 ) -> bool:
     """Wait until the run has ended or reaches a limit; return whether ScenarioRunner must be stopped.
 
-    Waiting also ends with the parent process.
+    Waiting also ends when the parent process, which started this process, has ended.
     """
     has_parent, frames, last_frame_time = make_parent_check(), 0, time.monotonic()
     frame_file = log.with_name(_FIRST_FRAME_FILE)

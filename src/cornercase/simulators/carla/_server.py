@@ -36,7 +36,7 @@ class CarlaServer:
         """Start the client unless it runs, and connect it to the server.
 
         Raises `InputError` if no server answers, or if the versions of server, client and ScenarioRunner differ. If the
-        server has answered a call just before (`has_answered`), its silence is a `SimulatorError` instead.
+        server has answered shortly before (`has_answered`) and answers no longer, a `SimulatorError` is raised instead.
         """
         if self._client is not None:
             return

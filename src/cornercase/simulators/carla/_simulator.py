@@ -205,7 +205,7 @@ class Carla(Simulator):
             )
         self._external_ego = bool(external_ego)
         if self._external_ego and (agent or self._attached is not None or ego in self._drivers):
-            raise InputError(f"external_ego: {ego} already has an agent or a driver; leave out one of them.")
+            raise InputError(f"external_ego: {ego} already has an agent or a driver; leave out that or external_ego.")
         self._agent = None if not agent else _existing_file(agent, "agent")
         self._agent_config = None if not agent_config else _existing_file(agent_config, "agent_config")
 
@@ -275,7 +275,10 @@ class Carla(Simulator):
 
     @classmethod
     def own_agents(cls) -> Mapping[str, Mapping[str, object]]:
-        """Return the options for each behaviour agent of CARLA and for an example of a user's agent, by agent."""
+        """Return, by a description of the agent, the simulator options with which this agent drives the ego.
+
+        The agents are CARLA's behaviour agents and an example of a user's agent.
+        """
         behaviors = {f"CARLA's behaviour agent '{name}'": {"drivers": {"Ego": name}} for name in BEHAVIORS}
         return {**behaviors, "an AutonomousAgent in a file": {"agent": str(EXAMPLE_AGENT_FILE)}}
 
@@ -514,8 +517,8 @@ def _split_drivers(drivers: Mapping[str, DriverLike] | None, ego: str) -> tuple[
             behaviors[entity] = driver
         elif entity != ego:
             raise InputError(
-                f"`drivers` {entity}: CARLA does not have this driver; {suggest_name(str(driver), BEHAVIORS)} Any other"
-                f" driver can drive the ego ({ego}) only."
+                f"`drivers` {entity}: CARLA has no such behaviour agent; {suggest_name(str(driver), BEHAVIORS)} Drivers"
+                f" that are no behaviour agents can drive the ego ({ego}) only."
             )
         else:
             attached = driver_by_name(driver) if isinstance(driver, str) else driver
@@ -523,7 +526,7 @@ def _split_drivers(drivers: Mapping[str, DriverLike] | None, ego: str) -> tuple[
 
 
 def _removes_entity(scenario: ScenarioFile, name: str) -> bool:
-    """Return whether an action of a scenario removes an entity, or an entity that a parameter names."""
+    """Return whether an action of a scenario removes, or may remove, an entity; a parameter may name any entity."""
     return any(
         action.get("entityRef") == name or action.get("entityRef", "").startswith("$")
         for action in scenario.root.iter("EntityAction")
@@ -534,8 +537,8 @@ def _removes_entity(scenario: ScenarioFile, name: str) -> bool:
 def _find_free_port() -> int:
     """Return a free port of this machine for CARLA's traffic manager, which the client opens.
 
-    With a fixed port, two ScenarioRunners on one machine would disturb each other. The server would also take a traffic
-    manager that was killed for one that still runs.
+    With a fixed port, two ScenarioRunners on one machine would disturb each other. After a traffic manager was killed,
+    the server would also believe that it still runs on this port.
     """
     with socket.socket() as free:
         free.bind(("", 0))

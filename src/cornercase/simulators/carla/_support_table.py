@@ -43,10 +43,10 @@ class SupportRow:
     """A row of the support table: how ScenarioRunner handles an element or attribute.
 
     `element`: name of the element, with parents if they matter (``"CollisionCondition/ByType"``). `attribute`: name of
-    the attribute; empty if the row is about the element. `values`: attribute values that the row is about; empty for
-    all other values. `note`: reason, or what replaces the content. `matters`: whether leaving the content out can
-    change positions, speeds or verdicts. `versions`: versions of ScenarioRunner that handle the content; all others
-    ignore it or stop at it.
+    the attribute; empty if the row is about the element. `values`: attribute values that the row is about; empty if
+    the row is about all values without a row of their own. `note`: reason, or what replaces the content. `matters`:
+    whether leaving the content out can change positions, speeds or verdicts. `versions`: versions of ScenarioRunner
+    that handle the content; all others ignore the content or stop at it.
     """
 
     element: str
@@ -69,7 +69,10 @@ class SupportFinding:
 
 @cache
 def load_support_table() -> dict[tuple[str, str], tuple[SupportRow, ...]]:
-    """Read the rows by name of the (last) element and attribute; rows with more parents come first."""
+    """Read the rows of the support table, by name of the element (without its parents) and name of the attribute.
+
+    Among the rows with the same names, rows whose elements have more parents come first.
+    """
     rows_by_name: dict[tuple[str, str], list[SupportRow]] = {}
     text = (resources.files(__package__) / _TABLE_FILE).read_text(encoding="utf-8")
     for line in csv.DictReader(text.splitlines()):

@@ -24,7 +24,10 @@ class _TrackedFrame(NamedTuple):
 
 
 class _Box(NamedTuple):
-    """Object type and box of an actor, in m; the box's centre is `ahead` and to the `left` of the actor's origin."""
+    """Object type of an actor, and length and width of its bounding box in m.
+
+    `ahead` and `left`: how far the centre of the box is ahead of the actor's origin and to its left, in m.
+    """
 
     object_type: str
     length: float
@@ -151,7 +154,7 @@ class EntityTracker:
     def _select_frames_of_run(self) -> list[_TrackedFrame]:
         """Return the frames of the run, from the start of the storyboard to the last frame with the ego.
 
-        Raises `SimulatorError` if a frame between them is missing.
+        Raises `SimulatorError` if a frame between these two is missing.
         """
         if self.first_frame is None or not self._ids:
             return []
@@ -165,7 +168,7 @@ class EntityTracker:
             if ego not in frame.poses or (run and abs(frame.time_step - self._time_step) > 1e-6):
                 break
             if run and frame.number != run[-1].number + 1:
-                raise SimulatorError(f"{frame.number - run[-1].number - 1} frames did not come from CARLA")
+                raise SimulatorError(f"CARLA did not send {frame.number - run[-1].number - 1} of the frames")
             run.append(frame)
         if len(run) > 1:
             # The storyboard sets the first speeds in this frame, so they are there in the next one.
@@ -175,7 +178,7 @@ class EntityTracker:
         return run
 
     def _first_collisions(self, frames: set[int]) -> list[tuple[int, tuple[str, str]]]:
-        """Return each pair of entities that touch, after the number of the first frame in which they touch."""
+        """Return the number of the first frame in which two entities touch, and their names, for each such pair."""
         names = {number: name for name, number in self._ids.items()}
         first: dict[tuple[str, str], int] = {}
         for frame, a, b in sorted(self._contacts):

@@ -157,9 +157,9 @@ class _UserAgent:
         self._sensors.append(sensor)
 
     def _start_sensors(self) -> None:
-        """Tick until all sensors have sent data, and once more for the agent.
+        """Tick the server until all sensors have sent data, and then once more.
 
-        The agent then has one value of each sensor for its first step.
+        The agent receives only the data of this last tick: one value of each sensor for its first step.
         """
         world = CarlaDataProvider.get_world()
         for _ in range(_MAX_SENSOR_TICKS):
@@ -173,7 +173,7 @@ class _UserAgent:
 
 
 def _interpolate_trajectory(points: List[Any]) -> Any:
-    """Return a route of waypoints through positions, first in GNSS and then in world coordinates."""
+    """Return the waypoints of a route through positions twice: in GNSS coordinates, and in world coordinates."""
     world = CarlaDataProvider.get_world()
     try:
         if "world" in inspect.signature(interpolate_trajectory).parameters:
@@ -191,7 +191,8 @@ def _interpolate_trajectory(points: List[Any]) -> Any:
 def _trace_route(planner: Any, start: Any, target: Any) -> List[Tuple[Any, Any]]:
     """Return waypoints and road options from one position to another.
 
-    CARLA's planner leaves out roads without a predecessor and a successor, and fails on them.
+    CARLA's planner knows no roads that have neither predecessor nor successor, and fails if a route begins or ends on
+    one. The route then follows the lane.
     """
     try:
         return list(planner.trace_route(start, target))

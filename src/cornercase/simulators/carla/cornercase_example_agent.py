@@ -19,7 +19,7 @@ _GAIN = 0.3
 class CornercaseExampleAgent(AutonomousAgent):  # type: ignore[misc]
     """Agent that drives straight ahead at 8 m/s by its speedometer, whatever is ahead.
 
-    An IMU is its second sensor.
+    The agent also has an IMU, which only shows whether ScenarioRunner passes on the data of such a sensor.
     """
 
     def setup(self, path_to_conf_file: str) -> None:

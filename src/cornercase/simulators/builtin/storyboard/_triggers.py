@@ -55,8 +55,8 @@ class Condition:
     """A condition of a trigger, with its edge and with its delay in s in each scenario.
 
     `test` takes the world and a mask of scenarios, and returns whether the condition holds in each scenario. `edge` is
-    ``"none"``, ``"rising"``, ``"falling"`` or ``"risingOrFalling"``. With a delay, the condition takes its value from
-    `delay` s earlier.
+    ``"none"``, ``"rising"``, ``"falling"`` or ``"risingOrFalling"``. With a delay, the condition has the value that it
+    would have had `delay` s earlier without this delay.
     """
 
     def __init__(self, test: Test, edge: str, delay: FloatArray) -> None:
@@ -97,7 +97,10 @@ class Condition:
         return ConditionSpec([], True, False) if isinstance(test, StateWatcher) else None
 
     def use_leaf_values(self, leaf_values: BoolArray) -> None:
-        """Read the condition's value from an array (scenarios, leaf conditions) that compiled code keeps up to date."""
+        """Make the condition read its value from `leaf_values`, which compiled code keeps up to date.
+
+        The shape is (scenarios, leaves); leaves are the simple conditions of which the condition consists.
+        """
         if isinstance(self.test, EntityCondition | ValueCondition):
             self.test.leaf_values = leaf_values
 
@@ -123,7 +126,7 @@ class Condition:
 
 
 class DelayBuffer:
-    """Buffer of earlier values of a condition, which delays them by `delay` s, one delay per scenario.
+    """Buffer that delays the values of a condition by `delay` s, with a delay for each scenario.
 
     `is_sudden`: whether the value can change from one frame to the next although the condition's inputs have not
     changed, such as after an edge.
@@ -136,7 +139,10 @@ class DelayBuffer:
         self._newest_value, self._current_value = (np.full(len(delay), -1, dtype=np.int8) for _ in range(2))
 
     def store_and_delay(self, world: World, value: BoolArray, where: BoolArray) -> BoolArray:
-        """Store the present values and return the delayed values; of several values that become due, True wins."""
+        """Store the present values and return the delayed values.
+
+        If several values of a scenario become due at once, the result is True if at least one of them is.
+        """
         new, time = where & (self._newest_value != value), world.time
         self._newest_value[new] = value[new]
         if self._sudden:
@@ -161,7 +167,7 @@ class DelayBuffer:
         return np.where(is_due, result, self._current_value == 1)
 
     def oldest_pending_time(self) -> FloatArray:
-        """Return the time in s of the oldest change that is not yet due, in each scenario; infinite if none."""
+        """Return the time in s of the oldest stored change that still waits for its delay; infinite without one."""
         result = np.full(len(self.delay), np.inf)
         for then, _, changed in self._frames:
             result = np.where(changed, np.minimum(result, then), result)
@@ -174,7 +180,7 @@ class DelayBuffer:
 
 
 class Trigger:
-    """A trigger, which fires when all conditions of one of its groups hold; without groups it never fires."""
+    """A trigger with groups of conditions, which fires when all conditions of a group hold; without groups, never."""
 
     def __init__(self, groups: list[list[Condition]]) -> None:
         self.groups = groups
@@ -215,7 +221,10 @@ class Trigger:
         return fired
 
     def may_fire(self, world: World) -> BoolArray:
-        """Return the scenarios in which the trigger can fire later: a group has no condition that stays false."""
+        """Return the scenarios in which the trigger can fire later.
+
+        The trigger cannot fire if each group has a condition that stays false unless the storyboard changes its value.
+        """
         result = np.zeros(world.scenarios, dtype=np.bool_)
         for group in self.groups:
             constants = [

@@ -46,14 +46,14 @@ def spline_length(tracks, row, n):
 
 @_kernel
 def spline_end_time(tracks, row, n):
-    """Return the time in s at which a clothoid spline with times ends, on the clock of the spline."""
+    """Return the end time in s of a clothoid spline with times; it counts like these times, not like simulated time."""
     count = tracks.n_curvatures[row]
     return floats_at_address(tracks.addresses[row, track_layout.TIME] + 8 * count * n, count)[count - 1]
 
 
 @_kernel
 def spline_distance_at_time(tracks, row, n, time):
-    """Return the distance in m along a clothoid spline at a time in s, on the clock of the spline."""
+    """Return the distance in m along a clothoid spline at a time in s, which counts like the `times` of the spline."""
     count = tracks.n_curvatures[row]
     times = floats_at_address(tracks.addresses[row, track_layout.TIME] + 8 * count * n, count)
     table = floats_at_address(tracks.addresses[row, track_layout.DISTANCE] + 8 * count * n, count)
@@ -69,7 +69,7 @@ def spline_distance_at_time(tracks, row, n, time):
 def spline_time_and_speed(tracks, row, n, distance):
     """Return time and speed in m/s at a distance along a clothoid spline with times.
 
-    The time is in s on the clock of the spline.
+    The time in s counts like the `times` of the spline, not like the simulated time.
     """
     count = tracks.n_curvatures[row]
     times = floats_at_address(tracks.addresses[row, track_layout.TIME] + 8 * count * n, count)

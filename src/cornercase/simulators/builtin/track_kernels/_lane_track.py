@@ -67,7 +67,8 @@ def advance_on_lane(tracks, row, distance, offset, step):
 def advance_on_lane_path(addresses, n_samples, n_curvatures, distance, offset, steps):
     """Return the distances in m along a lane path after R entities have moved by `steps` m, shape (R,).
 
-    `addresses` are the memory addresses of the arrays of the path, which have `n_samples` or `n_curvatures` items.
+    `addresses` are the memory addresses of the arrays of the path. Arrays of curvatures have `n_curvatures` items, all
+    others `n_samples`.
     """
     result = np.empty(len(distance))
     for i in range(len(distance)):
@@ -102,9 +103,10 @@ def _advance_on_samples(addresses, n_samples, n_curvatures, distance, offset, st
 
 @kernel(error_model="numpy", forceinline=True, _nrt=False)
 def _correct_step_over_ground(table, reference, heading, count, distance, offset, step, reached):
-    """Return the distance along a lane after a step, given the distance `reached` if the reference line is followed.
+    """Return the distance along a lane after a step of `step` m, in m.
 
-    The result differs from `reached` if an entity that goes there covers another length over ground than the step.
+    `reached` is the distance that follows from a step along the reference line. It is returned if an entity that goes
+    there covers about `step` m over ground, or crosses a sideways jump of the lane; otherwise it is corrected.
     """
     if abs(
         _move_over_ground(table, heading, count, distance, offset, reached, math.inf)[1] - abs(step)
@@ -123,7 +125,7 @@ def _move_over_ground(table, heading, count, begin, offset, end, max_length):
     """Move from `begin` towards `end`, at an offset to the left of a path, by at most `max_length` m over ground.
 
     Returns the distance reached along the path, and the length covered over ground, both in m. In a bend that is
-    tighter than the offset, the entity goes backwards over ground; this length counts as positive.
+    tighter than the offset, the entity goes backwards over ground; this length is added, too.
     """
     covered, position = 0.0, begin
     sign = 1 if end > begin else -1
@@ -174,7 +176,10 @@ def road_position_on_lane(tracks, row, distance):
 
 @kernel(error_model="numpy", forceinline=True, _nrt=False)
 def needs_next_lane(tracks, row, distance):
-    """Return whether an entity at a distance along a lane track should change to the next track along its lanes."""
+    """Return whether an entity at a distance along a lane track is so near an end that it should change tracks.
+
+    The next track continues along the lanes.
+    """
     first, last = tracks.span[row, 0], tracks.span[row, 1]
     return (distance < first) | (distance > last)
 

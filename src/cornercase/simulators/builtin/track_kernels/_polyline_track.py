@@ -71,14 +71,14 @@ def polyline_heading_is_given(tracks, row, n, distance):
 
 @_kernel
 def polyline_end_time(tracks, row, n):
-    """Return the time in s at which a polyline with times ends, on the clock of the polyline."""
+    """Return the end time in s of a polyline with times; it counts like these times, not like simulated time."""
     count = tracks.size[row]
     return floats_at_address(_vertex_array_address(tracks, row, n, track_layout.TIME), count)[count - 1]
 
 
 @_kernel
 def polyline_distance_at_time(tracks, row, n, time):
-    """Return the distance in m along a polyline at a time in s, on the clock of the polyline."""
+    """Return the distance in m along a polyline at a time in s, which counts like the `times` of the polyline."""
     count = tracks.size[row]
     times = floats_at_address(_vertex_array_address(tracks, row, n, track_layout.TIME), count)
     table = floats_at_address(_vertex_array_address(tracks, row, n, track_layout.DISTANCE), count)
@@ -104,7 +104,7 @@ def polyline_distance_at_time(tracks, row, n, time):
 def polyline_time_and_speed(tracks, row, n, distance):
     """Return time and speed in m/s at a distance along a polyline with times.
 
-    The time is in s on the clock of the polyline.
+    The time in s counts like the `times` of the polyline, not like the simulated time.
     """
     count = tracks.size[row]
     table = floats_at_address(_vertex_array_address(tracks, row, n, track_layout.DISTANCE), count)
@@ -148,7 +148,10 @@ def _find_segment(table, value, tolerance):
 
 @_kernel
 def _locate_on_segment(table, distance, tolerance):
-    """Return the distance clipped to the length of the line, the index of the segment there, and the fraction of it."""
+    """Return the distance clipped to the length of the line, the index of the segment there, and a fraction.
+
+    The fraction is the part of the segment that lies before the distance, from 0 to 1.
+    """
     clipped = max(distance, 0.0)
     clipped = min(clipped, table[table.size - 1])
     segment = _find_segment(table, clipped, tolerance)

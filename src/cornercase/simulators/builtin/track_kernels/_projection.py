@@ -73,7 +73,7 @@ def _project_on_samples(addresses, n_samples, max_sample_gap, x, y, after):
 def _find_nearest_samples(px, py, n_samples, max_sample_gap, x, y, gaps, samples):
     """Fill `samples` with the indices of the samples nearest to (x, y), and `gaps` with their distances in m.
 
-    The nearest sample comes first. Returns the number of samples.
+    The nearest sample comes first. Returns how many samples were found, at most `_N_NEAREST_SAMPLES`.
     """
     limit, n_found, n_wanted = _upper_bound_of_gap(px, py, n_samples, x, y), 0, min(_N_NEAREST_SAMPLES, n_samples)
     i = 0

@@ -54,7 +54,7 @@ def trajectory_has_heading(tracks, row, n, distance):
 
 @_kernel
 def trajectory_end_time(tracks, row, n):
-    """Return the time in s at which a trajectory with times ends, on the clock of the trajectory."""
+    """Return the end time in s of a trajectory with times; it counts like these times, not like simulated time."""
     if tracks.kind[row] == track_layout.POLYLINE_TRACK:
         return polyline_track.polyline_end_time(tracks, row, n)
     return clothoid_track.spline_end_time(tracks, row, n)
@@ -62,7 +62,7 @@ def trajectory_end_time(tracks, row, n):
 
 @_kernel
 def trajectory_distance_at_time(tracks, row, n, time):
-    """Return the distance in m along a trajectory at a time in s, on the clock of the trajectory."""
+    """Return the distance in m along a trajectory at a time in s, which counts like the `times` of the trajectory."""
     if tracks.kind[row] == track_layout.POLYLINE_TRACK:
         return polyline_track.polyline_distance_at_time(tracks, row, n, time)
     return clothoid_track.spline_distance_at_time(tracks, row, n, time)
@@ -72,7 +72,7 @@ def trajectory_distance_at_time(tracks, row, n, time):
 def trajectory_time_and_speed(tracks, row, n, distance):
     """Return time and speed in m/s at a distance along a trajectory with times.
 
-    The time is in s on the clock of the trajectory.
+    The time in s counts like the `times` of the trajectory, not like the simulated time.
     """
     if tracks.kind[row] == track_layout.POLYLINE_TRACK:
         return polyline_track.polyline_time_and_speed(tracks, row, n, distance)
@@ -81,10 +81,12 @@ def trajectory_time_and_speed(tracks, row, n, distance):
 
 @kernel(interpreted_seconds=lambda tracks, scenarios, points: 5e-5 * scenarios.size, error_model="numpy")
 def evaluate_track(tracks, scenarios, points):
-    """Evaluate the only track in a table at points given by scenarios (R,), and distances and offsets (2, R) in m.
+    """Evaluate the only track in a table at R points.
 
-    Returns an array (8, R): x, y, heading, direction of the track, whether the file defines the heading, time on the
-    clock of the track, speed, and s. Time and speed are NaN without times; s is NaN unless the track is a lane.
+    `scenarios` (R,) has the scenario of each point, `points` (2, R) the distance along the track and the offset to its
+    left, in m. Returns an array (8, R): x, y, heading, direction of the track, whether the file defines the heading,
+    time (counted like the `times` of the track), speed, and s. Time and speed are NaN for a track without times; s is
+    NaN unless the track is a lane.
     """
     result = np.empty((8, scenarios.size))
     for i in range(scenarios.size):

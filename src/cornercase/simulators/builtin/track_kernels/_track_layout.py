@@ -1,8 +1,9 @@
 """Tables of tracks (curves that entities follow) for kernels.
 
-The table `TrackTable.addresses` holds the memory addresses of the arrays of each track; the constants name its columns.
-The arrays of a lane have an item per sample or curvature, in the order of the attributes of its path. The arrays of a
-polyline have a row per scenario, and an item per vertex or segment.
+The table `TrackTable.addresses` has a row of memory addresses for each track, one address for each array of the track.
+Constants of this module name the columns of the table. The arrays of a lane have an item per sample or curvature; their
+order is that of the attributes of the lane path. The arrays of a polyline have a row per scenario, and an item per
+vertex or segment.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ ALONG_SEGMENTS, AT_CORNERS, AT_VERTICES = range(3)
 
 
 class TrackTable(NamedTuple):
-    """Arrays for kernels that describe the G tracks of E entities."""
+    """All tracks of E entities, G in number, as arrays that kernels can read."""
 
     rows: IntArray  # (E, K): index among all tracks of each track of an entity; -1 for none
     kind: IntArray  # (G,): `LANE_TRACK`, `POLYLINE_TRACK` or `CLOTHOID_TRACK`
@@ -73,9 +74,9 @@ def alloc_track_table(n_tracks: int) -> TrackTable:
 
 
 def make_trajectory_table(kind: int, is_uniform: bool, arrays: Sequence[FloatArray | IntArray | None]) -> TrackTable:
-    """Create the table of a single trajectory from its arrays, which are in the order of the columns.
+    """Create the table of a single trajectory from its arrays, in the order of the columns of `TrackTable.addresses`.
 
-    None stands for missing times, speeds or accelerations.
+    Missing times, speeds or accelerations are given as None.
     """
     table = alloc_track_table(1)
     table.kind[0], table.is_uniform[0] = kind, is_uniform

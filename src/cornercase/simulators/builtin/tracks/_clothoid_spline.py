@@ -23,17 +23,19 @@ _MIN_BEND: Final = 1e-7
 class ClothoidSpline(Trajectory):
     """A trajectory of K segments with linearly changing curvature, in N scenarios.
 
-    As in esmini, the entity moves along chords of 1 m. They are within millimetres of the curve, and much faster to
+    As in esmini, the entity moves along chords of 1 m. Chords are within millimetres of the curve, and much faster to
     compute.
 
-    `x`, `y`, `heading` (N,) are the start pose. `start` and `end` (N, K) are the curvatures at the ends of segments in
-    1/m, and `length` (N, K) their lengths in m. `times` (N, K + 1) are the times in s at which segments begin, and the
-    end of the last; the speed on a segment is constant. `segment_starts` are the start poses of segments that do not
-    continue the previous segment, by index. `heading_offsets` (N, K) in rad are added at the start of segments.
+    Arguments: `x`, `y`, `heading` (N,) are the start pose. `start` and `end` (N, K) are the curvatures in 1/m at the
+    start and end of each segment, `length` (N, K) is its length in m. `times` (N, K + 1) are the times in s at which
+    segments begin, and the end of the last; the speed on a segment is constant. `segment_starts` maps the index of each
+    segment that does not continue the previous segment to its start pose. `heading_offsets` (N, K) are angles in rad by
+    which the heading jumps at the start of segments.
 
     Attributes: `segment_distances` (N, K + 1) are the distances in m at which segments begin, and the end of the last.
-    `x`, `y`, `heading` are the ends of the chords, shape (N, C), or (1, C) if `is_uniform` (the same in all scenarios).
-    `chord_length` (N,) is the length in m of all chords but the last. `last_chord` (N,) is the index of the last chord.
+    `x`, `y`, `heading` are here the ends of the chords, shape (N, C), or (1, C) if `is_uniform` (the same in all
+    scenarios). `chord_length` (N,) is the length in m of all chords but the last. `last_chord` (N,) is the index of the
+    last chord.
     """
 
     _scenario_arrays = ("_start", "_rate", "segment_distances", "lengths", "_x", "_y", "_node_headings", "_times")
@@ -121,7 +123,10 @@ class ClothoidSpline(Trajectory):
         )
 
     def _segment_and_node(self, distance: FloatArray, rows: IntArray) -> tuple[IntArray, IntArray]:
-        """Return the index of the segment at each distance, and of the start of the segment, in flattened arrays."""
+        """Return two flat indices for each distance in the scenarios `rows`.
+
+        The first finds the segment at the distance in an array (N, K), the second its start in an array (N, K + 1).
+        """
         count = self._start.shape[1]
         k = np.zeros(len(rows), dtype=np.int64)
         first = rows * (count + 1)

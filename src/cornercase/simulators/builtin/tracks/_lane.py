@@ -66,9 +66,10 @@ class LaneTrack(Track):
     def advance(self, distance: FloatArray, offset: FloatArray, step: FloatArray) -> FloatArray:
         """Return the distance along the track in m after entities have moved by `step` m, shape (R,).
 
-        As in esmini, the step is made along the reference line, with the scale that follows from the curvature at the
-        start of the step. If the entity would then cover a length that is wrong by more than 0.1 %, the step is made
-        along the lane instead. That happens if the curvature changes, or if the lane is at an angle.
+        As in esmini, the step is made along the reference line of the road, scaled by a factor, since an entity beside
+        this line covers another length in a bend. The factor follows from the curvature at the start of the step. If
+        the entity would then cover a length that differs from `step` by more than 0.1 %, the step is made along the
+        lane instead. That happens if the curvature changes, or if the lane is not parallel to the reference line.
         """
         path = self.path
         return np.asarray(

@@ -27,7 +27,7 @@ def evaluate_nurbs(
 
     `x`, `y` and `time` of the C control points have shape (N, C) for N scenarios. `order` is the degree plus one; there
     are C + order knots. The curve has the time of a control point at the point where the influence of this control
-    point is largest. Times in between are interpolated. The last point is repeated at least once, and more often if
+    point is largest. Times in between are interpolated. The last point occurs at least twice, and more often if
     another scenario has more points.
     """
     # Imported late: slow to import, and rarely needed.

@@ -19,9 +19,10 @@ class Polyline(Trajectory):
     """A trajectory along straight lines through V vertices, in N scenarios.
 
     `x`, `y` (m), `heading` (rad) and `time` (s, not decreasing) have shape (N, V). If the heading is NaN, it is the
-    direction of the segment. A `closed` polyline is a loop. `heading_interpolation` is `ALONG_SEGMENTS`, `AT_CORNERS`
-    or `AT_VERTICES`. By default the speed is constant on each segment. With `begin_speed` (N,) in m/s, the acceleration
-    on each segment is constant instead, so that the entity reaches the next vertex in time.
+    direction of the segment. A `closed` polyline is a loop. `heading_interpolation` says where the heading changes:
+    over whole segments (`ALONG_SEGMENTS`), near vertices (`AT_CORNERS`), or abruptly (`AT_VERTICES`). By default the
+    speed is constant on each segment. With `begin_speed` (N,) in m/s, the acceleration on each segment is constant
+    instead, so that the entity reaches the next vertex at its time.
 
     Attributes (N, V): `distance` of vertices along the line in m; `vertex_headings` in rad, unwrapped; `speeds` at
     vertices in m/s; `accelerations` in m/s² on the segments that begin at vertices. `directions` (N, V - 1): directions

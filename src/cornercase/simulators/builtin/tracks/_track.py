@@ -22,7 +22,8 @@ class Pose:
 
     `road` is the index of the road in the network. `offset` is in m to the left of the lane's centre, seen along s.
     `is_beyond_road`: True if the position in the file is beyond the end of the road, so that it was moved to this end.
-    `relative_location`: file and line of a position relative to an entity. For this position the move is no error.
+    `relative_location`: file and line of a position that is relative to an entity, else empty. The move of such a
+    position gives a notice; the move of any other position is an error.
     """
 
     x: FloatArray
@@ -57,7 +58,7 @@ class TrackPoints(NamedTuple):
     heading: FloatArray  # rad
     direction: FloatArray  # rad; direction of the track, which may differ from the heading
     has_heading: BoolArray  # whether the file gives the heading at this point
-    time: FloatArray  # s, on the clock of the track; NaN without times
+    time: FloatArray  # s, counted like the times of the track; NaN without times
     speed: FloatArray  # m/s; NaN without times
     s: FloatArray  # m, on the road of the lane; NaN if the track is no lane
 
@@ -72,7 +73,7 @@ class Track(ABC):
 
     @property
     def table(self) -> TrackTable:
-        """Table for kernels that holds this track alone; a new object after each change of the track."""
+        """Table for kernels that holds this track alone; each change of the track makes a new table."""
         if self._table is None:
             self._table = self._make_table()
         return self._table
@@ -103,7 +104,7 @@ class Track(ABC):
         """
 
     def project_moving_point(self, x: FloatArray, y: FloatArray, rows: IntArray, before: FloatArray) -> FloatArray:
-        """Return the distance in m along the track of a moving point (x, y) that was at `before` a step earlier."""
+        """Return the distance in m along the track of a moving point (x, y); it was `before` one time step earlier."""
         return self.nearest_distance(x, y, rows, before)
 
 

@@ -21,8 +21,8 @@ def locate_target_on_track(
 ) -> None:
     """Store at which distance along the entity's track a fixed target is, in the scenarios of a mask.
 
-    `number` (N,) receives the number of the track, `distance` (N,) the distance in m. It is infinite if the track does
-    not lead to the target.
+    `number` (N,) receives the number of the track. `distance` (N,) receives the distance in m, which is infinite if the
+    track does not lead to the target.
     """
     for k, track, rows in world.iter_followed_tracks(entity, where & np.isfinite(target.x + target.y)):
         new = rows[(number[rows] != k) | np.isnan(distance[rows])]
@@ -96,7 +96,10 @@ def _position_after_lateral_step(world: World, entity: int) -> tuple[FloatArray,
 
 
 def free_space_to_entity(world: World, entity: int, other: int, distance: FloatArray) -> FloatArray:
-    """Return the free space in m between two boxes whose reference points have a signed distance along the lane."""
+    """Return the free space in m along the lane between the bounding boxes of two entities.
+
+    `distance` is that from the reference point of `entity` to the reference point of `other`; negative if behind.
+    """
     own_box, other_box = world.entities[entity], world.entities[other]
     fronts = [0.5 * box.length + box.center_x for box in (own_box, other_box)]
     rears = [0.5 * box.length - box.center_x for box in (own_box, other_box)]
@@ -104,8 +107,9 @@ def free_space_to_entity(world: World, entity: int, other: int, distance: FloatA
 
 
 def subtract_boxes_from_distance(distance: FloatArray, ahead: float, behind: float) -> FloatArray:
-    """Return signed distances in m, reduced by the parts inside boxes; 0 if nothing remains.
+    """Return distances in m between reference points without the parts that lie inside bounding boxes.
 
-    Positive distances are reduced by `ahead` m, negative distances by `behind` m.
+    A positive distance (the other point is ahead) becomes shorter by `ahead` m, a negative one by `behind` m. The
+    result is 0 if the boxes touch or overlap.
     """
     return np.where(distance > 0, np.maximum(distance - ahead, 0.0), np.minimum(distance + behind, 0.0))

@@ -87,9 +87,9 @@ def _sign_along_road(world: World, pose: Pose) -> FloatArray:
 
 
 def _project_onto_road(world: World, pose: Pose, points: FloatArray, where: BoolArray, lateral: bool) -> FloatArray:
-    """Return s (or t if `lateral`) in m of P points on the road of a pose, shape (N, P); 0 outside the mask.
+    """Return the road coordinate s (or t if `lateral`) of P points in m, shape (N, P); 0 outside the mask.
 
-    The points must be near the pose.
+    The coordinate is that on the road of the pose, near which the points must be.
     """
     assert world.network is not None
     roads, _, s_of_pose = pose.road_coordinates()

@@ -172,7 +172,10 @@ def _half_widths(network: RoadNetwork, road: IntArray, lane: IntArray, s: FloatA
 
 
 def _iter_scenarios_by_key(keys: IntArray, where: BoolArray) -> Iterator[tuple[tuple[int, ...], BoolArray]]:
-    """Group the scenarios of a mask by their columns in `keys`; yield each column, sorted, and a mask of its group."""
+    """Group the scenarios of a mask that have the same column in `keys`, shape (K, N).
+
+    Yields the column of each group, in ascending order, and a mask of the scenarios in the group.
+    """
     for key in sorted({*zip(*keys[:, where].tolist(), strict=True)}):
         yield key, where & (keys == np.array(key)[:, None]).all(axis=0)
 
@@ -207,9 +210,9 @@ def switch_to_lane_track(world: World, entity: int, lane: IntArray, where: BoolA
 
 
 def extend_lane_path(world: World, entity: int, track_number: int) -> None:
-    """Make an entity follow the next part of its lane path if it is near an end of the present part.
+    """Make an entity follow the next part of its lane path, if it follows a certain part and is near an end of it.
 
-    The present part is the track with number `track_number`.
+    `track_number` is the number of this part among the tracks of the entity.
     """
     assert world.network is not None
     track = world.tracks[entity][track_number]
@@ -241,9 +244,9 @@ def extend_lane_path(world: World, entity: int, track_number: int) -> None:
 
 
 def _remaining_route(world: World, entity: int, where: BoolArray) -> IntArray:
-    """Return the number of an entity's route in each scenario, shape (N,), without the roads that it has passed.
+    """Return the index in `world.routes` of what remains of an entity's route in each scenario, shape (N,).
 
-    With these roads in the route, a new path would lead back to them.
+    Roads that the entity has passed are left out of the route, since a new path would lead back to them.
     """
     result: IntArray = world.route[entity].copy()
     for _, track, at in world.iter_followed_tracks(entity, where & (world.route[entity] > 0)):

@@ -16,7 +16,7 @@ from cornercase.simulators.builtin.world._world import World
 
 
 def follows_lane(world: World, entity: int) -> BoolArray:
-    """Return a mask (N,) of the scenarios in which an entity follows a lane, not a trajectory or no track."""
+    """Return a mask (N,) of the scenarios in which the track that an entity follows is a lane, not a trajectory."""
     result = np.zeros(world.scenarios, dtype=np.bool_)
     for k, track in enumerate(world.tracks[entity]):
         if isinstance(track, LaneTrack):

@@ -1,4 +1,4 @@
-"""Values of variables and parameters as texts, and the check if any condition in a file can use them."""
+"""Values of variables and parameters as texts, and the check whether a scenario file has certain conditions."""
 
 from __future__ import annotations
 

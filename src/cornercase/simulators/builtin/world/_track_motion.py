@@ -14,7 +14,10 @@ from cornercase.simulators.builtin.world._world import World
 
 
 def update_off_road_since(world: World, where: BoolArray) -> None:
-    """Update in the scenarios of a mask since when each entity has been off the road; infinite if it is on the road."""
+    """Update the time in s since which each entity has been off the road, in the scenarios of a mask.
+
+    The time is infinite while the entity is on the road.
+    """
     # As in esmini, no entity is off the road before the first time step.
     current_time = np.where(world.last_step > 0.0, world.time, np.inf)
     for e, since in enumerate(world.off_road_since):
@@ -31,7 +34,10 @@ def extend_lane_paths(world: World) -> None:
 
 
 def heading_velocity(world: World) -> tuple[FloatArray, FloatArray]:
-    """Return x and y components in m/s of velocities with each entity's speed along its heading, shape (E, N) each."""
+    """Return the x and y components of entities' velocities in m/s, shape (E, N) each.
+
+    Each velocity points along the heading, also in a bend or a lane change.
+    """
     return world.speed * np.cos(world.heading), world.speed * np.sin(world.heading)
 
 

@@ -25,8 +25,9 @@ _TINY: Final = 1e-6
 class SignalController:
     """Controller that sets the states of traffic signals at the start of each phase, in a cycle of P phases.
 
-    A signal that an action changes keeps its state until the next phase. `names` are the names of the phases, `states`
-    the states of signals in each phase, by signal. `durations` (P, N) of phases and `delay` (N,) are in s.
+    A signal that an action changes keeps its state until the next phase. `names` are the names of the phases. `states`
+    has a dictionary for each phase: the state by signal. `durations` (P, N) are those of the phases in s, and `delay`
+    (N,) is a time in s at which a cycle begins.
     """
 
     def __init__(
@@ -47,7 +48,8 @@ class SignalController:
     def next_phase_start(self, time: FloatArray) -> FloatArray:
         """Return the time in s at which the next phase begins, shape (N,).
 
-        It is the present time if the signals have not been set since the start or since an action began a phase.
+        The result is the present time if the signals of the present phase have not been set yet: at the start, and
+        after an action has begun a phase.
         """
         since = np.mod(time - self._cycle_start + _TINY, self._phase_ends[-1])
         ends = np.take_along_axis(self._phase_ends, self.phase_at(time)[None], axis=0)[0]

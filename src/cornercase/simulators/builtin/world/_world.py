@@ -58,8 +58,8 @@ class Entity:
     `kind`: vehicle category, ``"pedestrian"`` or ``"misc"``. The bounding box is in m; limits are in m/s and m/s², and
     infinite if not set. `wheelbase` in m and `max_steering` in rad have defaults if the file has no axles. `slides`:
     True if the entity goes along a trajectory with any heading that the trajectory defines. `polyline_turning`:
-    `ALONG_SEGMENTS`, `AT_CORNERS` or `AT_VERTICES`; None if the following mode decides where the heading changes along
-    a polyline. `body`: XML element of the entity, and the scope in which to read it.
+    where the heading changes along a polyline (`ALONG_SEGMENTS`, `AT_CORNERS` or `AT_VERTICES`); None if the
+    ``followingMode`` of the action decides. `body`: XML element of the entity, and the scope in which to read it.
     """
 
     name: str
@@ -119,14 +119,15 @@ class World:
 
     Motion: `friction` (N,): friction coefficient of the road, for vehicle models. `step_velocity` in m/s and
     `step_acceleration` in m/s²: x and y components in the last step. `needs_road_check`: True if a condition asks for
-    entities off the road. `tracks`: all tracks that each entity has followed. `routes`: all assigned routes, as (road,
-    lane, s). `lane_tracks`: cache of tracks along lanes.
+    entities off the road. `tracks`: all tracks that each entity has followed. `routes`: all assigned routes, each as
+    points (road, lane, s). `lane_tracks`: cache of tracks along lanes.
 
     Storyboard: `variables` and `parameters`: values (N,), numbers or texts. `values`: parameter values that differ from
     the file, by scenario. `signals`: states of traffic signals (N,), texts. `selections`: indices of entities, by name.
     `positioned_entity`: index of the entity whose position is being resolved. `current_action`: line and name of the
-    action that acts, for errors. `evaluate_leaves`: function that evaluates all leaf conditions in the running
-    scenarios. `has_leaf_values`: True if they were evaluated since an action last changed the state.
+    action that acts, for errors. `evaluate_leaves`: function that evaluates all leaf conditions (the simple
+    parts of conditions that compiled code evaluates) in the running scenarios. `has_leaf_values`: True if leaf
+    conditions were evaluated since an action last changed the state.
 
     Drivers: `drivers`: all drivers that may control entities. `has_fixed_driver` (E): True if the user chose the
     driver, so that the file cannot change it. `seeds`: seeds of random numbers, by scenario.
