@@ -54,7 +54,7 @@ def test_it_says_what_is_critical(scenario, arguments, criterion):
         ({"metrics": ["wttc", "distance"], "pareto": True, "threshold": 1.0}, "a Pareto front has no threshold"),
         (
             {"weights": {"distance": 1.0}},
-            r"^`weights` distance: is not one of the `metrics` \(wttc\); add it to them, too",
+            r"^`weights` distance: is not one of the `metrics` \(wttc\); add distance to `metrics`",
         ),
         ({"weights": {"wtc": 1.0}}, "^`weights` wtc: is not one of the metrics; did you mean 'wttc'"),
         ({"condition": cc.metrics.Expression.parse("ttc<1")}, 'was parsed as a formula, .* the language "condition"'),

@@ -137,7 +137,8 @@ def test_42_5_a_study_goes_on_only_with_the_same_file_of_its_driver(folder):
     refused = explored(folder, DRIVER)
     assert refused.returncode == 2
     assert (
-        "s.db: the file of the driver of Ego has changed since (my_aeb:Aeb, eager=true, reaction=0.3" in refused.stderr
+        "s.db: the file of the driver of Ego has changed since the study was made (my_aeb:Aeb, eager=true, reaction=0.3"
+        in refused.stderr
     )
     assert "name another study with -o, or restore the file." in refused.stderr
     assert (folder / "s.db").read_bytes() == before

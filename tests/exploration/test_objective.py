@@ -72,7 +72,7 @@ def test_what_cannot_be_searched_is_refused(weights, pareto, words):
 def test_what_is_critical_needs_one_score():
     with pytest.raises(InputError, match="has no threshold"):
         Objective([TTC, DRAC], pareto=True).with_threshold(1.0)
-    with pytest.raises(InputError, match="the weighted sum up to which"):
+    with pytest.raises(InputError, match="the highest weighted sum that counts"):
         Objective([TTC, DRAC], {"ttc": 1.0}).with_threshold(None)
 
 

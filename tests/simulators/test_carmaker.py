@@ -115,7 +115,9 @@ def test_results_of_workers_that_share_a_project_are_not_mixed_up(project):
 def test_workers_that_cannot_name_their_results_need_a_project_each(project):
     port = Port(odd={"SetResultFName": 'Einvalid command name "SetResultFName"\r\n\r\n'})
     hosts = f"127.0.0.1:{port.number}+127.0.0.1:{port.number}"
-    with pytest.raises(InputError, match=r"several workers use this project, and .* give each its own as project=A"):
+    with pytest.raises(
+        InputError, match=r"several workers use this project, and .* give each worker its own project, as project=A"
+    ):
         run(project, port, worker=1, hosts=hosts)
     assert "StartSim" not in port.asked
     port.project = project.parent / "other"
@@ -466,7 +468,9 @@ def test_ipgs_module_is_taken_where_it_is_there_and_starts_carmaker_once(cmapi, 
     assert process.poll() is None
     simulator.close()
     assert process.wait(120) is not None
-    with pytest.raises(InputError, match=r"each worker needs its own CarMaker project, and there are 1; give more as"):
+    with pytest.raises(
+        InputError, match=r"each worker needs its own CarMaker project, and the number of projects given is 1; give"
+    ):
         CarMaker(testrun="Crossing", project=str(project), worker=1)
     CarMaker(testrun="Crossing", project=f"{project}+{project.parent}", worker=1)
     # The port can still be chosen.
@@ -584,7 +588,7 @@ def test_a_value_that_the_testrun_does_not_use_is_refused_before_anything_runs(p
     )  # fmt: skip
     assert done.returncode == 2
     assert "Crossing (of CarMaker 8.0.2): this TestRun does not use the named value gpa" in done.stderr
-    assert "write $gpa=0 where it belongs" in done.stderr
+    assert "write $gpa=0 where the TestRun shall use the value" in done.stderr
     assert not port.asked
     assert not (project.parent / "s.db").exists()
     port.close()

@@ -305,7 +305,7 @@ def test_a_controller_of_esmini_and_a_driver_cannot_both_drive(tmp_path):
     init = private("Ego", teleport("50"), speed_action("10"), activation)
     path = scenario_file(tmp_path, init=init, entities=car("Ego").replace("</ScenarioObject>", controller))
     with pytest.raises(
-        InputError, match=r"'Ego' has one of esmini's controllers as well as a driver; .*controllers=false"
+        InputError, match=r"'Ego' has both a driver and one of esmini's controllers; .*controllers=false"
     ):
         list(Esmini(drivers={"Ego": "normal"}).run([ConcreteScenario(path, {})]))
     ran(Esmini(drivers={"Ego": "normal"}, controllers=False, duration=1.0), [ConcreteScenario(path, {})])
@@ -335,7 +335,7 @@ def test_a_parameter_of_the_function_differs_between_scenarios():
     assert same_recording(here[0], here[2])
     assert ego(here[1])["speed"][-1] == pytest.approx(5.0)
     with pytest.raises(
-        InputError, match=r"Ego\.horizon is a parameter of Ego's driver in the file, which .*undriven=true"
+        InputError, match=r"Ego\.horizon is a parameter of the driver that the file names for Ego, but .*undriven=true"
     ):
         list(Esmini(undriven=True).run([ConcreteScenario(X, {"Ego.horizon": 4.0})]))
     with pytest.raises(InputError, match="rates"):

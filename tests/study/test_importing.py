@@ -154,7 +154,7 @@ def test_a_name_that_no_recording_has_leaves_no_study_in_the_way(exported, tmp_p
     done = cornercase("import", exported / "runs", "--ego", "Nope", *EXPLORED[2:], "-o", study)
     assert done.returncode == 2
     said = " ".join(done.stderr.split())
-    assert "None of the 40 recordings can be read and measured; the first:" in said
+    assert "None of the 40 recordings can be read and measured; the error of the first:" in said
     assert "has no entity 'Nope'" in said
     assert not study.exists()
     assert cornercase("import", exported / "runs", *EXPLORED, "-o", study).returncode == 0

@@ -208,7 +208,10 @@ def test_a_new_version_of_a_driver_is_not_judged_by_what_the_old_one_did(reduced
     assert cornercase(*command, cwd=tmp_path).returncode == 0
     (tmp_path / "mine.py").write_text(KILLING.replace("Killing", "Mine") + "\n# mended")
     said = cornercase(*command, cwd=tmp_path)
-    assert (said.returncode, "the file of the driver of Ego has changed since (mine:Mine" in said.stderr) == (2, True)
+    assert (
+        said.returncode,
+        "the file of the driver of Ego has changed since the study was made (mine:Mine" in said.stderr,
+    ) == (2, True)
 
 
 def test_what_has_run_is_judged_anew_by_other_requirements(explored, tmp_path):

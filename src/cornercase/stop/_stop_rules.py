@@ -22,9 +22,9 @@ _QUANTITIES = ("missed", "interval", "audited-missed", *_SIZED_QUANTITIES)
 class StopRule:
     """Rule that says when an exploration ends; the functions of `cornercase.stop` make rules.
 
-    The `repr` of a rule is an expression that makes the rule again. The `str` of a rule is a text that can be given
-    instead. Rules are compared by value. Several rules are given as a sequence: an exploration ends when all rules
-    about the critical set hold. A rule of `seconds` or `no_improvement` ends the exploration by itself.
+    The `repr` of a rule is an expression that makes the rule again. The `str` of a rule is a text that is accepted in
+    place of the rule. Rules are compared by value. Several rules are given as a sequence. A rule of `seconds` or
+    `no_improvement` ends the exploration alone; all other rules of the sequence must hold at the same time.
 
     Rules of your own classes are not accepted. To end an exploration by another rule, call `explore` in a loop with a
     growing `budget`, and end the loop yourself.
@@ -41,8 +41,9 @@ class StopRule:
 class StopCriterion(StopRule):
     """Stop rule that holds when a quantity of a `CriticalSet`, such as ``"missed"``, is below `bound`.
 
-    `size` is the smallest region that counts, as a fraction of the space. `confidence` is the probability that less
-    than `bound` is missed. Raises `InputError` if a number is not above 0 and up to 1.
+    `size`, for ``"overlooked"`` and ``"unvisited"``, is the size of the regions considered, as a fraction of the space.
+    `confidence`, for ``"missed"``, is the probability that less than `bound` is missed. Raises `InputError` unless all
+    numbers are above 0 and at most 1.
     """
 
     quantity: str
@@ -66,7 +67,10 @@ class StopCriterion(StopRule):
         named, argument = f"`stop_when` {text}:", {}
         if match["argument"] is not None:
             if match["what"] not in ("missed", *_SIZED_QUANTITIES):
-                raise InputError(f"{named} only missed accepts a probability, and overlooked and unvisited a size.")
+                raise InputError(
+                    f"{named} '{match['what']}' takes no number in brackets; missed takes a probability, and overlooked"
+                    " and unvisited take a size."
+                )
             name = "confidence" if match["what"] == "missed" else "size"
             argument = {name: _check_fraction(match["argument"], named)}
         return cls(match["what"], _check_fraction(match["below"], named), **argument)
@@ -153,7 +157,7 @@ def missed(bound: float, confidence: float = DEFAULT_CONFIDENCE) -> StopRule:
     ----------
     bound : float
         Above 0, up to 1. The bound is compared with an upper limit of the missed fraction of the critical set. This
-        limit allows for one critical region to which no score points.
+        limit includes the chance that one more critical region exists at which no score hints.
     confidence : float, default 0.95
         Probability that no more than the upper limit is missed, above 0 and up to 1. With a lower value, a search ends
         earlier, and more often too early.
@@ -329,7 +333,7 @@ def no_improvement(rounds: int) -> StopRule:
     Parameters
     ----------
     rounds : int
-        Number of rounds in a row. In an exploration without rounds, it is a number of scenarios.
+        Number of rounds in a row. In an exploration without rounds, each scenario counts as a round.
 
     Returns
     -------
@@ -354,8 +358,8 @@ def no_improvement(rounds: int) -> StopRule:
 def resolve_stop_rules(rules: object) -> tuple[list[StopCriterion], float | None, int | None]:
     """Split rules into criteria that must all hold, a time limit in s, and a number of rounds without improvement.
 
-    A rule may be given as text. The smallest of several time limits counts, and the smallest of several numbers of
-    rounds. Both are None if no rule gives them. Raises `InputError` for a value that is not a rule.
+    A rule may be given as text. Of several time limits, the smallest counts; likewise of several numbers of rounds. A
+    limit or number that no rule sets is None. Raises `InputError` for a value that is not a rule.
     """
     given_rules = rules if isinstance(rules, Sequence) and not isinstance(rules, str) else [rules]
     resolved = [_parse_rule(rule) if isinstance(rule, str) else rule for rule in given_rules]

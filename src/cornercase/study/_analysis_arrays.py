@@ -30,7 +30,7 @@ _MIRROR_BLOCK_ROWS: Final = 256
 
 
 def write_arrays(connection: sqlite3.Connection, analysis: str, arrays: Mapping[str, npt.ArrayLike]) -> None:
-    """Store the arrays of an analysis by name; call it within a transaction.
+    """Store the arrays of an analysis, a mapping from name to array; call this function within a transaction.
 
     An array named ``"distances"`` has to be square and symmetric with a zero diagonal; only its upper half is stored.
     """
@@ -87,7 +87,7 @@ def _split_upper_triangle(matrix: npt.NDArray[Any], max_bytes: int) -> Iterator[
 def read_arrays(
     read_rows: _RowReader, analysis: str, names: list[str], n_scenarios: int
 ) -> dict[str, npt.NDArray[Any]]:
-    """Read arrays of an analysis by name; call it within `reraise_read_errors`.
+    """Read the arrays `names` of an analysis; call this function within `reraise_read_errors`.
 
     `n_scenarios` limits the size of the distance matrix, since a damaged file could demand a huge matrix.
     """

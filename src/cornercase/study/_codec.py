@@ -103,17 +103,17 @@ def _encode_npy_header(dtype: str, shape: tuple[int, ...]) -> bytes:
 def unpack_arrays(
     data: bytes, max_bytes: int = MAX_ARCHIVE_BYTES, names: Collection[str] | None = None
 ) -> dict[str, npt.NDArray[Any]]:
-    """Read arrays from an archive in `.npz` format, by name; `names` limits the arrays.
+    """Read arrays from an archive in `.npz` format, as a dict by name; with `names`, only read these arrays.
 
-    `InputError` if the bytes are not an archive of plain arrays, or if the archive would unpack to more than
-    `max_bytes`: otherwise a few bytes could unpack to gigabytes.
+    Raises `InputError` if the bytes are not an archive of plain arrays. Also raises it if the archive would unpack to
+    more than `max_bytes`, since a few damaged bytes could claim gigabytes.
     """
     try:
         members = _list_zip_members(data)
         if (size := sum(member.file_size for member in members)) > max_bytes:
-            raise ValueError(f"{size} bytes, the limit is {max_bytes}")
+            raise ValueError(f"the arrays have {size} bytes, more than the limit of {max_bytes}")
         if any(member.compress_type not in _COMPRESSION_METHODS for member in members):
-            raise ValueError("a compression method that NumPy does not use")
+            raise ValueError("an array is compressed by a method that NumPy does not use")
         named = [(member.filename.removesuffix(".npy"), member) for member in members]
         return {
             name: _decode_npy(_read_zip_member(data, member))
@@ -173,7 +173,7 @@ def _read_zip_member(data: bytes, member: _ZipMember | zipfile.ZipInfo) -> bytes
     start = member.header_offset + _LOCAL_LENGTHS_OFFSET + _LOCAL_LENGTHS.size + name + extra
     packed = data[start : start + member.compress_size]
     if member.flag_bits & _ENCRYPTED_FLAG:
-        raise ValueError("an encrypted member")
+        raise ValueError("an array is encrypted")
     content = packed
     if member.compress_type == zipfile.ZIP_DEFLATED:
         # A few bytes may unpack to many more than declared.
@@ -190,11 +190,11 @@ def _decode_npy(content: bytes) -> npt.NDArray[Any]:
     start = size.stop + int.from_bytes(content[size], "little")
     shape, by_columns, dtype = _decode_npy_header(content[:start])
     if dtype.hasobject:
-        raise ValueError("an array of Python objects, which would run code")
+        raise ValueError("an array contains Python objects, whose loading could run code")
     if dtype.itemsize == 0 and math.prod(shape):
-        raise ValueError(f"an array of {shape} with nothing in it")
+        raise ValueError(f"an array of shape {shape} has elements without any bytes")
     if math.prod(shape) * dtype.itemsize != len(content) - start or min(shape, default=0) < 0:
-        raise ValueError(f"an array of shape {shape} that does not fit its {len(content)} bytes")
+        raise ValueError(f"an array of shape {shape} does not fit the {len(content)} bytes of its file")
     if not math.prod(shape):
         return np.zeros(shape, dtype)
     return np.frombuffer(content, dtype, offset=start).reshape(shape, order="F" if by_columns else "C").copy()
@@ -236,10 +236,12 @@ def unpack_recording(data: bytes) -> Recording:
                 f" to hold numbers and have the shape {shape}."
             )
     if not n_times or not np.isfinite(arrays["time"]).all() or (np.diff(arrays["time"]) <= 0.0).any():
-        raise InputError("The study holds a recording whose time does not increase.")
+        raise InputError("The study holds a recording whose times do not increase.")
     names, kinds = tuple(map(str, arrays["names"])), tuple(map(str, arrays["kinds"]))
     if len(set(names)) < n_entities or len(kinds) != n_entities:
-        raise InputError("The study holds a recording whose entities lack unique names or types.")
+        raise InputError(
+            "The study holds a recording in which two entities have the same name, or an entity has no type."
+        )
     return Recording(
         **{name: arrays[name] for name in _RECORDING_ARRAYS},  # type: ignore[arg-type]
         names=names,

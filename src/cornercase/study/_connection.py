@@ -46,7 +46,7 @@ def reraise_sqlite_errors(path: Path) -> Iterator[None]:
 
 
 def is_unreachable_error(error: BaseException) -> bool:
-    """Return whether an error means that SQLite could not open or lock the file, so that the content may be intact."""
+    """Return whether SQLite could not open or lock the file; if so, the content of the file may still be intact."""
     # Errors of Python's own module have no code. The lower byte is the primary code.
     return isinstance(error, sqlite3.Error) and vars(error).get("sqlite_errorcode", 0) & 0xFF in _UNREACHABLE_CODES
 
@@ -181,7 +181,7 @@ def require_same_file(path: Path, identity: tuple[int, int] | None) -> None:
 
 
 def is_read_only_file(path: Path) -> bool:
-    """Return whether this process cannot write the file, and no SQLite log shows that another process is writing."""
+    """Return whether this process cannot write the file, and no other process writes to it (no SQLite log exists)."""
     # SQLite would leave its log beside a read-only file, and keep the owner from writing.
     writable = os.access(path, os.W_OK) and os.access(path.parent, os.W_OK)
     return not writable and not path.with_name(path.name + "-wal").exists()

@@ -18,9 +18,9 @@ MIN_DECISIVE_RUNS: Final = 5
 
 
 def critical_run_rates(scores: Sequence[Sequence[float]], criterion: Criterion) -> FloatArray:
-    """Return the fraction of critical runs of each scenario with its 90 % Clopper-Pearson interval, shape (n, 3).
+    """Return fraction of critical runs, and ends of its 90 % Clopper-Pearson interval, by scenario, shape (n, 3).
 
-    `scores` has the scores to minimize of all runs of each scenario.
+    `scores` has, for each scenario, the scores of all runs, with the sign changed if high scores are critical.
     """
     rows = []
     for run_scores in scores:
@@ -32,7 +32,8 @@ def critical_run_rates(scores: Sequence[Sequence[float]], criterion: Criterion) 
 def is_criticality_undecided(scores: Sequence[float], criterion: Criterion) -> bool:
     """Return whether the 90 % interval of the probability that a run is critical contains 0.5.
 
-    `scores` are the scores to minimize of the runs of one scenario; at least one run is needed.
+    `scores` are the scores of the runs of one scenario (at least one), with the sign changed if high scores are
+    critical.
     """
     ((_, low, high),) = critical_run_rates([scores], criterion)
     return bool(low <= 0.5 <= high)

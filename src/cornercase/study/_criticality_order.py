@@ -1,4 +1,4 @@
-"""Order scenarios from the most critical one, also if many have the same score."""
+"""Order scenarios by criticality; scenarios with the same score are ordered by the speed of their collisions."""
 
 from __future__ import annotations
 

@@ -90,8 +90,8 @@ class Database:
     def open(cls, path: Path, readonly: bool) -> Database:
         """Open a study file, for reading or for writing.
 
-        `InputError` if the file is not a study of this schema version. Unless `readonly`, also if another process is
-        writing to the study.
+        Raises `InputError` if the file is not a study of this schema version. To open a study for writing also fails
+        with `InputError` if another process is writing to the study.
         """
         require_nonempty_file(path)
         # Open it for reading first: a file that is not a study must not be written.

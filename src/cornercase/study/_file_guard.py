@@ -1,8 +1,8 @@
 """Detect that the file of an open study was moved, removed or overwritten by another program.
 
 SQLite does not notice if another file is copied over the study, and goes on with the pages in its cache. So the file
-itself is searched for the lease, the row that names this process as the writer: once a second, and whenever the file
-has changed.
+itself is searched for the lease (the row that names this process as the writer). This is done once a second, and
+whenever the file has changed.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ class StudyFileGuard:
         change = "it was replaced by another file" if self._path.exists() else "it was removed"
         self._close_moved_file()
         raise StudyLostError(
-            f"{self._path}: {change} while this command was writing to it; what the command stored is no longer"
-            " under this name. If you moved the study, move it back; then run the same command again."
+            f"{self._path}: {change} while this command was writing to it, so the results of the command are no longer"
+            " in a file of this name. If you moved the study, move it back; then run the same command again."
         )
 
     def require_not_overwritten(self, force: bool) -> None:

@@ -106,9 +106,9 @@ def import_recordings(
     metrics : Metric or str, or sequence of these
         The first one defines criticality.
     table : path, optional
-        CSV with the column ``file``, relative to the folder, and one column per parameter; by default
-        ``parameters.csv`` in the folder. A column of numbers becomes a range from its minimum to its maximum, any other
-        column a set of choices.
+        CSV table of the recordings; by default ``parameters.csv`` in the folder. The column ``file`` has the path of
+        each recording, relative to the folder; each other column is a parameter. A column of numbers becomes a range
+        from its minimum to its maximum, any other column a set of choices.
     critical : float, optional
         Threshold of the first metric; by default the default threshold of this metric.
     progress : bool, default False
@@ -216,7 +216,9 @@ def _require_measurable(files: Sequence[Path], metrics: Sequence[Metric], ego: s
             reasons.append(_describe_failure(file, error))
         else:
             return
-    raise InputError(f"None of the {len(files)} recordings can be read and measured; the first: {reasons[0]}")
+    raise InputError(
+        f"None of the {len(files)} recordings can be read and measured; the error of the first: {reasons[0]}"
+    )
 
 
 def _describe_failure(file: Path, error: InputError | SimulationError) -> str:
@@ -250,10 +252,11 @@ def _read_parameter_table(folder: Path, table: Path) -> tuple[list[str], list[di
         if names[: len(_EXPORT_COLUMNS)] == _EXPORT_COLUMNS and (table.parent / PARAMETER_TABLE).exists():
             raise InputError(
                 f"{table}: is the table of an export, with scores beside parameters; leave `table` out, and name the"
-                f" folder {table.parent}, whose {PARAMETER_TABLE} has what is needed."
+                f" folder {table.parent}, which has a table of the parameters alone ({PARAMETER_TABLE})."
             )
         raise InputError(
-            f"{table}: needs a header with '{FILE_COLUMN}' and each parameter once, not {', '.join(names)}."
+            f"{table}: needs a header with '{FILE_COLUMN}' and at least one parameter, each once, but the header is"
+            f" {', '.join(names)}."
         )
     if len(rows) < 2:
         raise InputError(f"{table}: names {len(rows)} recordings; at least 2 are needed.")

@@ -6,8 +6,8 @@ platforms. So the table ``lease`` names the writer, and SQLite protects that tab
 
 Each transaction first checks that its lease is still stored. So two processes never write, even if clocks differ: a
 process that was wrongly taken for dead stops at its next transaction. On the same machine, it is known at once whether
-the holder is alive. A holder on another machine renews its lease, and counts as dead if it has not done so for two
-minutes.
+the holder is alive. A holder on another machine renews its lease, and counts as dead if the lease was not renewed for
+two minutes.
 """
 
 from __future__ import annotations
@@ -155,9 +155,9 @@ def _machine_id() -> str:
 
 
 def _process_start_time(pid: int) -> float | None:
-    """Return the start time of a process by an arbitrary clock.
+    """Return the start time of a process, by a clock with an arbitrary zero.
 
-    None if there is no such process; NaN if the time is unknown.
+    Return None if there is no such process, and NaN if the time is unknown.
     """
     try:
         # The fields follow the name, which may contain anything. Ticks since boot do not change with the clock.

@@ -79,7 +79,7 @@ def count_audits(audit_fraction: float, n_scenarios: int) -> int:
 
 
 def metric_fields(metrics: Iterable[Metric]) -> dict[str, Any]:
-    """Return the fields of a `StudyMeta` that describe metrics, ``metrics`` and ``own_metrics``, by name."""
+    """Return the values of the fields ``metrics`` and ``own_metrics`` of a `StudyMeta` for these metrics, by field."""
     described = {metric.name: describe_own_metric(metric) for metric in metrics}
     own = {name: description for name, description in described.items() if description is not None}
     return {"metrics": tuple(described), "own_metrics": own}
@@ -97,8 +97,8 @@ class StudyMeta:
     Attributes
     ----------
     scenario : str
-        Path of the scenario file, of the folder of imported recordings, or of a suite. It is relative to the folder of
-        the study, or only a name.
+        Path of the scenario file; for imported recordings and suites, path of their folder. The path is relative to the
+        folder of the study. Only the name is stored if the path would reveal folders of the machine.
     fingerprint : str
         SHA-256 of the scenario file and all files that it uses, or of the imported files. For a suite, SHA-256 of the
         first scenario file and all files that it uses.
@@ -237,7 +237,7 @@ class StudyMeta:
 
     @property
     def objective_metrics(self) -> tuple[str, ...]:
-        """Metrics whose scores the optimizer minimizes; empty for imported recordings and suites."""
+        """Metrics whose scores the optimizer gets; empty without optimizer (imported recordings and suites)."""
         if self.optimizer == "none":
             return ()
         if self.pareto:
@@ -285,7 +285,7 @@ class StudyMeta:
 
     @property
     def ego_driver(self) -> Any:
-        """Driver of the ego, given or named in the scenario file; an empty text if there is none, None if unknown."""
+        """Driver of the ego, from the user or else from the scenario file; empty text if none, None if unknown."""
         return self.drivers.get(self.ego, self.driver_in_file)
 
     @property
@@ -383,19 +383,19 @@ class StudyMeta:
             if name in _FIELD_TYPES and (
                 not isinstance(value, _FIELD_TYPES[name]) or isinstance(value, bool) != (name in _BOOLEAN_FIELDS)
             ):
-                raise ValueError(f"its {name} is {str(value)[:60]!r}")
+                raise ValueError(f"its field {name} has the invalid value {str(value)[:60]!r}")
         if isinstance(values["other"], list):
             values["other"] = _require_distinct_names(values["other"])
         for name in ("metrics", "files", "kinds", "requirements"):
             if not all(isinstance(item, str) for item in values.get(name, ())):
-                raise ValueError(f"its {name} are not texts")
+                raise ValueError(f"its field {name} is not a list of texts")
         if not values["metrics"] or not all(
             isinstance(item, int | float) for item in values.get("weights", {}).values()
         ):
             raise ValueError("it has no metrics, or weights that are not numbers")
         numbers = (values.get("critical", 0.0), *values.get("weights", {}).values())
         if not all(math.isfinite(float(item)) for item in numbers):
-            raise ValueError("its critical or its weights are not finite")
+            raise ValueError("its threshold or a weight of its metrics is not finite")
         names = values.get("elsewhere", {})
         if names and not all(isinstance(names.get(key), str) for key in ("sha256", "simulator", "study")):
             raise ValueError("its warm start is invalid")
@@ -417,7 +417,8 @@ class StudyMeta:
     def require_resumable(self, other: StudyMeta, path: Path, *, same_budget: bool = False) -> None:
         """Raise `InputError` unless a study with this description can be continued with the description `other`.
 
-        The budget may grow. Files and simulator may be in another place. A threshold may be added if there is none.
+        The budget may grow. Files and simulator may be in another place. A threshold may be added if the study has
+        none.
 
         Parameters
         ----------
@@ -431,7 +432,7 @@ class StudyMeta:
         Raises
         ------
         InputError
-            Another field differs.
+            The descriptions differ in any other way.
         """
         if self.suite and other.suite and self.suite != other.suite:
             raise InputError(
@@ -487,9 +488,9 @@ def _is_repeatability_valid(values: Mapping[str, Any]) -> bool:
 
 
 def _fill_missing_units(parameters: tuple[Parameter, ...], reference: tuple[Parameter, ...]) -> tuple[Parameter, ...]:
-    """Give parameters without a unit the unit of the same parameter in `reference`.
+    """Give each parameter without a unit the unit that the same parameter has in `reference`.
 
-    Ranges given as options have no units. No value depends on units.
+    Ranges that the user gives as options have no units, but are the same parameters, since units do not change values.
     """
     units = {parameter.name: parameter.unit for parameter in reference}
     return tuple(replace(parameter, unit=parameter.unit or units.get(parameter.name, "")) for parameter in parameters)
@@ -497,7 +498,7 @@ def _fill_missing_units(parameters: tuple[Parameter, ...], reference: tuple[Para
 
 def _require_distinct_names(names: list[Any]) -> tuple[str, ...]:
     if len(names) < 2 or not all(isinstance(name, str) for name in names) or len(set(names)) < len(names):
-        raise ValueError(f"its other is {str(names)[:60]}, and not a list of at least two different names")
+        raise ValueError(f"its field other is {str(names)[:60]}, and not a list of at least two different names")
     return tuple(names)
 
 
@@ -507,18 +508,17 @@ def _base_name(path: str) -> str:
 
 
 def _require_same_driver_files(stored_settings: Mapping[str, Any], new_settings: Mapping[str, Any], path: Path) -> None:
-    """Raise `InputError` if the file of a driver has changed: a study must hold runs of a single version."""
+    """Raise `InputError` if a driver's file has changed: a study must hold runs of only one version of a driver."""
     if {**stored_settings, _DRIVERS_KEY: None} != {**new_settings, _DRIVERS_KEY: None}:
         return
     changes = list(iter_driver_changes(stored_settings.get(_DRIVERS_KEY), new_settings.get(_DRIVERS_KEY)))
     for entity, stored, current, only_file in changes:
         if only_file and all(change[-1] for change in changes):
             raise InputError(
-                f"{path}: the file of the driver of {entity} has changed since"
+                f"{path}: the file of the driver of {entity} has changed since the study was made"
                 f" ({escape_control_characters(stored)} in the study,"
-                f" {escape_control_characters(current)} given), and a study holds runs of one"
-                f" version; name another study with"
-                " `study`, or restore the file."
+                f" {escape_control_characters(current)} given), but a study holds runs of only one version of a driver;"
+                " name another study with `study`, or restore the file."
             )
 
 

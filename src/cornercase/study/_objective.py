@@ -22,9 +22,9 @@ class Objective:
 
     The objective is the first metric, a weighted sum of metrics, or (for a Pareto front) all metrics. `weights` maps a
     metric to its weight per unit of score; metrics without a weight do not count in the sum. `criterion` says when a
-    scenario is critical; it is None without `threshold`, and for a Pareto front. `InputError` if there is no metric, or
-    if a weight is not positive or belongs to an unknown metric. A Pareto front takes no weights, and needs at least two
-    metrics.
+    scenario is critical; `criterion` is None without `threshold`, and for a Pareto front. Raises `InputError` if there
+    is no metric, or if a weight is not positive or belongs to an unknown metric. A Pareto front takes no weights, and
+    needs at least two metrics.
     """
 
     def __init__(
@@ -35,16 +35,16 @@ class Objective:
         threshold: float | None = None,
     ) -> None:
         if not metrics:
-            raise InputError("There is no metric to search; name one with `metrics`.")
+            raise InputError("No metric was given, so there is nothing to search for; name a metric with `metrics`.")
         self.metrics, self.weights, self.pareto = list(metrics), dict(weights or {}), pareto
         if pareto and (self.weights or len(metrics) < 2):
-            raise InputError("`pareto`: needs two metrics or more, and no `weights`.")
+            raise InputError("`pareto`: give at least two `metrics`, and leave `weights` out.")
         names = [metric.name for metric in metrics]
         for name, weight in self.weights.items():
             if name not in names:
                 if name.partition(":")[0] in METRICS:
                     raise InputError(
-                        f"`weights` {name}: is not one of the `metrics` ({', '.join(names)}); add it to them, too."
+                        f"`weights` {name}: is not one of the `metrics` ({', '.join(names)}); add {name} to `metrics`."
                     )
                 raise InputError(f"`weights` {name}: is not one of the metrics; {suggest_name(name, names)}")
             if not 0.0 < weight < np.inf:
@@ -64,7 +64,7 @@ class Objective:
     def with_threshold(self, given: float | None, *, is_required: bool = True) -> Objective:
         """Return the objective with the given threshold, or with the default of the metric if `given` is None.
 
-        `InputError` if a threshold is given for a Pareto front, or if a threshold is required and there is none.
+        Raises `InputError` if a threshold is given for a Pareto front, or if a threshold is required and there is none.
         """
         threshold = given
         if self.pareto:
@@ -74,7 +74,10 @@ class Objective:
                 )
         elif self.weights:
             if is_required and given is None:
-                raise InputError("`weights`: set `critical` to the weighted sum up to which a scenario is critical.")
+                raise InputError(
+                    "`weights`: a weighted sum has no default threshold; set `critical` to the highest weighted sum"
+                    " that counts as critical."
+                )
         elif given is not None or is_required or self.metrics[0].default_threshold is not None:
             threshold = self.metrics[0].resolve_threshold(given)
         return Objective(self.metrics, self.weights, self.pareto, threshold)
@@ -88,9 +91,9 @@ class Objective:
         return np.asarray((weight_vector * signs)[:, None])
 
     def compute_scores_to_minimize(self, scores: FloatArray) -> FloatArray:
-        """Return the scores to minimize of m scenarios from `scores` in the metrics' units, shape (m, metrics).
+        """Return the values that the optimizer minimizes, shape (m,), or (m, metrics) for a Pareto front.
 
-        The result has shape (m,), or (m, metrics) for a Pareto front.
+        `scores`: scores of m scenarios in the units of the metrics, shape (m, metrics).
         """
         # Skip unused metrics: NaN times 0 is NaN.
         has_weight = self._score_factors.any(axis=1)
@@ -100,14 +103,14 @@ class Objective:
         return np.asarray(values if self.pareto else values[:, 0])
 
     def minimized_scores(self, study: StudyFile) -> FloatArray:
-        """Return the scores to minimize of the n scenarios of a study that ran without failing.
+        """Return the values that the optimizer minimizes, for the n scenarios of a study that did not fail.
 
         The result has shape (n,), or (n, metrics) for a Pareto front.
         """
         return self.compute_scores_to_minimize(np.stack([study.scores(metric.name) for metric in self.metrics], axis=1))
 
     def critical_mask(self, minimized: FloatArray) -> BoolArray:
-        """Return a mask, shape (m,), of critical scenarios from scores to minimize; all False without a threshold."""
+        """Return a mask of critical scenarios from scores to minimize, both of shape (m,); False without threshold."""
         if self.criterion is None:
             return np.zeros(len(minimized), dtype=np.bool_)
         return self.criterion.is_critical(minimized)
@@ -140,7 +143,7 @@ class Objective:
 
     @property
     def lower_is_critical(self) -> bool:
-        """True if a lower score in the objective's unit is more critical, and for a weighted sum."""
+        """True if lower values of the objective are more critical; always True for a weighted sum."""
         return bool(self.weights) or self.metrics[0].lower_is_critical
 
     @property
@@ -149,12 +152,15 @@ class Objective:
         return "" if self.weights or self.pareto or self.metrics[0].unit == "1" else self.metrics[0].unit
 
     def convert_orientation(self, score: float) -> float:
-        """Turn a score in the objective's unit into a score to minimize, or back; a weighted sum stays as it is."""
+        """Turn a score in the objective's unit into a score to minimize, or back.
+
+        The sign is changed if high scores of the metric are critical. A weighted sum stays as it is.
+        """
         return score if self.weights else self.metrics[0].to_minimize(score)
 
     @property
     def least_critical_scores(self) -> FloatArray:
-        """Scores to minimize of a scenario in which every metric is at its cap (its least critical value).
+        """Scores to minimize of a scenario in which every metric has its least critical value (cap).
 
         The shape is (1,), or (metrics,) for a Pareto front.
         """

@@ -1,9 +1,9 @@
 """Program that loads maps and records all entities on a CARLA server, as a client of the server.
 
 cornercase starts this program in ScenarioRunner's own Python (3.7 or later), which has CARLA's client, so it must not
-import cornercase. Requests are lines of JSON on standard input: ``["method", argument, ...]``. It writes one answer
-each to standard output: ``{"result": ...}`` or ``{"error": "..."}``. Positions are in the right-handed axes of
-scenarios.
+import cornercase. Requests are lines of JSON on standard input: ``["method", argument, ...]``. For each request, the
+program writes one line of JSON to standard output: ``{"result": ...}`` or ``{"error": "..."}``. Positions are in the
+right-handed axes of scenarios.
 """
 
 from __future__ import annotations
@@ -44,10 +44,11 @@ class Client:
         return [self._client.get_client_version(), self._client.get_server_version()]
 
     def load_map(self, name: str, road: str, mesh: dict[str, Any], timeout: float, usual_timeout: float) -> list[str]:
-        """Load a map of CARLA by its name, or a world from the text of a road file, unless it is loaded.
+        """Load the map `name` of CARLA, or a world generated from `road`, the text of a road file.
 
-        If the server has no map of this name, return the names of its maps, else an empty list. `mesh`: parameters of
-        the generated world. `timeout`: time limit for loading in s. `usual_timeout`: time limit for later calls in s.
+        Nothing is loaded if the server has this map or world already. If the server has no map of this name, return
+        the names of its maps, else an empty list. `mesh`: parameters of the generated world. `timeout`: time limit for
+        loading in s. `usual_timeout`: time limit for later calls in s.
         """
         loaded = self._client.get_world().get_map()
         if road and _strip_before_root(loaded.to_opendrive()) != road:
@@ -72,7 +73,7 @@ class Client:
                 actor.destroy()
 
     def leave_synchronous_mode(self, renders: bool | None = None) -> None:
-        """Leave synchronous mode, in which the server would wait for ticks that nobody sends any more.
+        """Leave synchronous mode: in it, the server would wait forever, since no client sends ticks any more.
 
         `renders`: whether the server draws pictures from now on; None restores the server's original setting.
         """
@@ -97,24 +98,27 @@ class Client:
         self._client.get_world().get_settings()
 
     def track(self, names: list[str], external: str) -> None:
-        """Begin to record the actors with these role names; only the actor `external` may exist already."""
+        """Begin to record the actors whose role names are in `names`.
+
+        Actors that exist already are ignored, except the actor with the role name `external`.
+        """
         self.end_tracking()
         self._tracker = Tracker(self._client, names, external)
 
     def poll(self) -> dict[str, Any]:
-        """Return the frames, contacts and entities that were recorded since the last call."""
+        """Return what was recorded since the last call: states of the actors by time step, contacts, and entities."""
         assert self._tracker is not None
         return self._tracker.poll()
 
     def end_tracking(self) -> None:
-        """Remove the sensors, and stop recording."""
+        """Stop recording, and remove the collision sensors from the actors."""
         if self._tracker is not None:
             self._tracker.close()
         self._tracker = None
 
 
 class Tracker:
-    """Recorder of the motion and the collisions of actors, from the first frame after its creation."""
+    """Recorder of the motion and the collisions of actors; records from the next time step of the server on."""
 
     def __init__(self, client: Any, names: list[str], external: str) -> None:
         self._client, self._names = client, names
@@ -132,7 +136,10 @@ class Tracker:
         self._callback = self._world.on_tick(self._store_frame)
 
     def poll(self) -> dict[str, Any]:
-        """Return new frames and contacts, the names of missing actors, and the actors once none is missing."""
+        """Return the states by time step and the contacts since the last call, and the names of missing actors.
+
+        The first call that finds all actors also attaches collision sensors to the actors and returns their boxes.
+        """
         missing, entities = self._find_entities() if not self._ids else ([], {})
         with self._lock:
             frames, contacts = self._frames, self._contacts
@@ -140,7 +147,7 @@ class Tracker:
         return {"frames": frames, "contacts": contacts, "missing": missing, "entities": entities}
 
     def close(self) -> None:
-        """Stop recording, and remove the sensors; the server may be gone by now."""
+        """Stop recording, and remove the collision sensors; an error because the server has ended is ignored."""
         try:
             self._world.remove_on_tick(self._callback)
             for sensor in self._sensors:
@@ -172,7 +179,7 @@ class Tracker:
         return [], entities
 
     def _store_frame(self, snapshot: Any) -> None:
-        """Store a frame; CARLA's client calls this in its own thread."""
+        """Store the states of all actors in one time step; CARLA's client calls this in a thread of the client."""
         poses = {}
         for actor in snapshot:
             # Until the entities are found, record all new actors.
@@ -193,7 +200,7 @@ class Tracker:
 
 
 def _describe(actor: Any) -> dict[str, Any]:
-    """Return number, type and box of an actor; lengths are in m, the box's centre relative to the actor's origin."""
+    """Return id, type and box of an actor; lengths in m, the centre of the box relative to the actor's origin."""
     box = actor.bounding_box
     return {
         "id": actor.id,

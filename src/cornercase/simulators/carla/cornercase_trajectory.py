@@ -25,12 +25,13 @@ class CornercaseTrajectory(BasicControl):  # type: ignore[misc]
     """Controller that moves an entity along a trajectory in ScenarioRunner.
 
     A vehicle is moved by its velocity, a walker by its steps, and any other entity by its position. This controller
-    replaces ScenarioRunner's own controls, which would leave the trajectory, and needs nothing of the storyboard.
+    replaces ScenarioRunner's own controls, because these would leave the trajectory. It does not use the storyboard.
 
-    In `args`, ``parts`` is a JSON list of the parts of the trajectory between jumps. Each part is a list of vertices:
-    time in s, x and y in m, and heading in rad, in right-handed axes. ``starts`` is a JSON list of the times in s after
-    which the parts begin. ``end`` is the time in s after which the entity vanishes, if any. ``center_x`` is the
-    distance in m by which the centre of the entity's box is ahead of its reference point in the scenario.
+    In `args`, ``parts`` is a JSON list of the parts of the trajectory: at each jump of the entity to another place, a
+    new part begins. Each part is a list of vertices: time in s, x and y in m, and heading in rad, in right-handed axes.
+    ``starts`` is a JSON list with the time in s from which each part applies. ``end`` is the time in s at which the
+    entity vanishes; without ``end``, the entity stays. ``center_x`` is the distance in m from the entity's reference
+    point in the scenario forward to the centre of its box.
     """
 
     _actor: Any
@@ -52,7 +53,7 @@ class CornercaseTrajectory(BasicControl):  # type: ignore[misc]
         self._actor = None
 
     def run_step(self) -> None:
-        """Move the entity in one tick."""
+        """Move the entity by one time step."""
         now = GameTime.get_time()
         if self._start_time is None:
             self._start_time = now

@@ -31,8 +31,8 @@ class CmapiClient:
     """Client that starts CarMaker once by IPG's Python module, and runs TestRuns with named values.
 
     `project`: folder of the CarMaker project. `testrun`: TestRun with which CarMaker is started. `timeout`: time limit
-    in s of the start and of each run. `end_timeout`: time limit in s for stopping a run, and for the end of CarMaker.
-    The event loop of IPG's module runs in a thread of its own. Raises `InputError` if CarMaker does not start.
+    in s of the start and of each run. `end_timeout`: time limit in s for stopping a run, and for ending CarMaker. The
+    event loop of IPG's module runs in a separate thread. Raises `InputError` if CarMaker does not start.
     """
 
     def __init__(self, project: Path, testrun: str, timeout: float, end_timeout: float = _END_TIMEOUT) -> None:
@@ -83,7 +83,7 @@ class CmapiClient:
             await self._end_carmaker()
 
     async def _end_carmaker(self) -> None:
-        """End the CarMaker that was started here, by force if IPG's module fails, so that its licence is released."""
+        """End the CarMaker that this client has started, by force if IPG's module fails, to release the licence."""
         try:
             await asyncio.wait_for(_await_if_awaitable(self._control.stop_and_disconnect()), self._end_timeout)
         except Exception:
@@ -107,8 +107,8 @@ class CmapiClient:
     def run_testrun(self, testrun: str, values: Mapping[str, Value], quantities: Sequence[str] = ()) -> Path:
         """Run a TestRun with named values, and return the result file, which contains `quantities`.
 
-        Raises `SimulationError` if the run fails or does not write exactly one result file, and `SimulatorError` if
-        CarMaker has to be started again.
+        Raises `SimulationError` if the run fails or does not write exactly one result file. Raises `SimulatorError` if
+        CarMaker is no longer usable, and must be started again.
         """
         before = ResultFileTracker(self._project)
         future = asyncio.run_coroutine_threadsafe(self._run_testrun_async(testrun, values, quantities), self._loop)
@@ -172,6 +172,6 @@ class CmapiClient:
 
 
 async def _await_if_awaitable(result: Any) -> None:
-    """Await a result if it is awaitable, which depends on the version of IPG's module."""
+    """Await a result if it is awaitable: some versions of IPG's module return awaitables, others do not."""
     if inspect.isawaitable(result):
         await result

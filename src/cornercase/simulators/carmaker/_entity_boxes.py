@@ -1,4 +1,4 @@
-"""Boxes and types of entities, from the scenario file or the TestRun, since CarMaker's result files contain neither."""
+"""Boxes and types of entities, read from the scenario file or the TestRun: CarMaker's result files lack both."""
 
 from __future__ import annotations
 
@@ -25,7 +25,8 @@ def find_entity_boxes(
 ) -> dict[str, EntityBox]:
     """Return the box of each entity, from the scenario file or else from the TestRun.
 
-    An entity without a box in both is a car of 4.5 m x 1.8 m.
+    If neither contains a box, the entity is taken for a car of 4.5 m x 1.8 m. If both contain a box, the distance from
+    the reference point to the centre of the box is taken from the TestRun.
     """
     # Named values that the scenario does not declare are for the TestRun only.
     declared = {name: value for name, value in values.items() if name in scenario.parameters}
@@ -41,9 +42,9 @@ def find_entity_boxes(
 
 
 def describe_box_problems(scenario: ScenarioFile, testrun: TestRunFiles | None) -> list[str]:
-    """Return sentences about entities without a box in the scenario file and in the TestRun.
+    """Return sentences about entities whose boxes are missing or contradictory.
 
-    Further sentences are about boxes that differ between the two.
+    A box is missing if neither the scenario file nor the TestRun has it, and contradictory if the two differ.
     """
     boxes, stored = _read_boxes(scenario, {}), {} if testrun is None else testrun.boxes
     sentences = [

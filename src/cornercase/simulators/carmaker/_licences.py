@@ -16,7 +16,7 @@ _MAX_WAITING: Final = 256
 
 
 class Licence:
-    """One of `count` licences that all workers of this user on this host share; no limit if `count` is 0.
+    """One of `count` licences that all workers of this user on this host share; 0 licences mean no limit.
 
     A licence is a locked file. If a worker dies, the operating system releases its lock.
     """
@@ -34,8 +34,8 @@ class Licence:
             self._handle = self._lock_any("licence", self._count)
         except OSError as error:
             raise InputError(
-                f"licences={self._count}: {self._folder}, where they are counted, cannot be written"
-                f" ({error.strerror or error}); make it writable, or set XDG_CACHE_HOME to another folder."
+                f"licences={self._count}: the folder {self._folder}, in which licences are counted, cannot be written"
+                f" ({error.strerror or error}); make the folder writable, or set XDG_CACHE_HOME to another folder."
             ) from error
         if self._handle is not None:
             return
@@ -55,7 +55,7 @@ class Licence:
             self._handle = None
 
     def is_awaited(self) -> bool:
-        """Return whether another worker waits for a licence; False if this object has none."""
+        """Return whether another worker waits for a licence; False if this object has no licence to give back."""
         if self._handle is None:
             return False
         for path in self._folder.glob("waiting *"):

@@ -61,8 +61,8 @@ class CarMaker(Simulator):
     its command port.
 
     The scenario file only defines parameters, entities (``Ego`` and the traffic objects ``T00``, ``T01``, …) and their
-    boxes. The TestRun defines what happens; its file uses the named values. Motion is read from the result file, and
-    collisions from the ego's collision sensor and from boxes.
+    boxes. The TestRun defines what happens; its file uses the named values. Motion is read from the result file.
+    Collisions are those that the ego's collision sensor reports, and overlaps of boxes.
 
     Parameters
     ----------
@@ -78,11 +78,11 @@ class CarMaker(Simulator):
         Name of the TestRun in the project's ``Data/TestRun``. In this name, ``{scenario}`` stands for the name of the
         scenario file without its ending.
     project : str
-        Folder of the CarMaker project with the result files. The workers use several folders, separated by ``+``, in
-        turn. With ``cmapi`` each worker needs a folder of its own.
+        Folder of the CarMaker project with the result files. Several folders are separated by ``+``, and assigned to
+        the workers in turn. With ``cmapi`` each worker needs a folder of its own.
     hosts : str, default "localhost"
-        Host on which ``CM.exe -cmdport`` runs, as ``host`` or ``host:port``. The workers use several hosts, separated
-        by ``+``, in turn.
+        Host on which ``CM.exe -cmdport`` runs, as ``host`` or ``host:port``. Several hosts are separated by ``+``, and
+        assigned to the workers in turn.
     port : int, default 16660
         Port of the first worker. Each further worker on the same host uses the next port, so that each worker has its
         own CarMaker.
@@ -92,7 +92,8 @@ class CarMaker(Simulator):
         How CarMaker is controlled: by IPG's Python module or by the command port. ``auto`` uses the module if it can be
         imported.
     speedup : float, default 1
-        Minimum factor by which CarMaker runs faster than real time, from which the time-outs follow.
+        Minimum factor by which CarMaker runs faster than real time. The time limit of a run follows from it: `duration`
+        divided by `speedup`, and a minute more.
     licences : int, default 0
         Maximum number of CarMakers that run at a time on this host, in all workers and searches of this user; 0 for no
         limit.
@@ -148,8 +149,8 @@ class CarMaker(Simulator):
         self._uses_api = is_cmapi_installed() if via == "auto" else via == "cmapi"
         if self._uses_api and worker >= len(projects):
             raise InputError(
-                f"`workers`: with cmapi each worker needs its own CarMaker project, and there are {len(projects)}; give"
-                " more as project=A+B, or use carmaker:via=port."
+                "`workers`: with cmapi each worker needs its own CarMaker project, and the number of projects given is"
+                f" {len(projects)}; give more as project=A+B, or use carmaker:via=port."
             )
         if start and self._uses_api:
             raise InputError(f"start={start}: cmapi starts CarMaker by itself; add via=port, or leave out start.")
@@ -242,9 +243,9 @@ class CarMaker(Simulator):
         return self._api
 
     def _give_back_licence(self) -> None:
-        """Give the licence back, unless a CarMaker that was started here runs on.
+        """Give the licence back, unless a CarMaker that this simulator has started still runs.
 
-        If another worker waits for a licence, that CarMaker is ended first.
+        If another worker waits for a licence, this simulator first ends its CarMaker.
         """
         if self._licence.is_awaited():
             self._disconnect()
@@ -265,7 +266,7 @@ class CarMaker(Simulator):
             self._tcl_client = None
 
     def close(self) -> None:
-        """End the CarMaker that was started here, or disconnect from a running one."""
+        """End the CarMaker that this simulator has started, or disconnect from a CarMaker that ran before."""
         self._disconnect()
         if self._server is not None:
             self._server.stop()
@@ -361,7 +362,7 @@ def _check_interface(via: str, duration: float, speedup: float) -> None:
 
 
 def _find_used_parameters(scenario: ScenarioFile) -> set[str]:
-    """Return the names of parameters that occur in the parts of a scenario file that are read for CarMaker.
+    """Return the names of the parameters that a scenario file uses in elements that are read for CarMaker.
 
     For instance, boxes are read, but not the storyboard.
     """
@@ -383,7 +384,8 @@ def _require_named_values_used(names: AbstractSet[str], files: TestRunFiles, own
         written = f" (of CarMaker {files.version})" if files.version else ""
         raise InputError(
             f"{files.path}{written}: this TestRun does not use the named value {', '.join(unused)} of {owner}; write"
-            f" ${unused[0]}=0 where it belongs, with a default of your choice, or leave the parameter out."
+            f" ${unused[0]}=0 where the TestRun shall use the value (0 is the default value, change it as you like),"
+            " or leave the parameter out."
         )
 
 

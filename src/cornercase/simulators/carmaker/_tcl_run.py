@@ -97,12 +97,12 @@ class TclClient:
 class TclTestRun:
     """Runs of TestRuns on a running CarMaker, from the idle state to the new result file.
 
-    `quantities`: names of quantities that result files get besides those that CarMaker stores anyway. `suffix`: text at
-    the end of the names of result files, by which they differ from those of other CarMakers. `run_timeout`: time limit
-    of a run in s. `start_timeout`: time limit for starting or stopping in s.
+    `quantities`: names of the quantities that CarMaker must store in addition to its usual quantities. `suffix`: text
+    at the end of the names of result files, so that several CarMakers can write into one project. `run_timeout`: time
+    limit of a run in s. `start_timeout`: time limit for starting or stopping in s.
 
-    CarMaker's command `WaitForStatus` makes polling rare. Its answer may be late or an error, so only `SimStatus`
-    counts.
+    CarMaker's command `WaitForStatus` avoids frequent polling. The answer to this command may be late or an error, so
+    the state of a run is always read with `SimStatus`.
     """
 
     def __init__(
@@ -148,8 +148,8 @@ class TclTestRun:
             if isinstance(error, SimulatorError):
                 raise
             raise InputError(
-                f"{self._project}: several workers use this project, and CarMaker does not let them name their results"
-                f" ({error}); give each its own as project=A+B."
+                f"{self._project}: several workers use this project, and this CarMaker does not let each worker name"
+                f" its result files ({error}); give each worker its own project, as project=A+B."
             ) from error
 
     def _send(self, command: str) -> str:
@@ -223,7 +223,7 @@ class TclTestRun:
         )
 
     def _wait_for_state(self, state: str, seconds: float) -> None:
-        """Let CarMaker wait for a state, which makes polling rare; the status must be polled afterwards."""
+        """Let CarMaker itself wait for a state or a time-out; poll the status afterwards to know which came first."""
         try:
             self._client.send(f"WaitForStatus {state} {round(1000 * seconds)}", seconds + self._start_timeout)
         except SimulationError as error:

@@ -28,7 +28,7 @@ _OBJECT_TYPES: Final = {
 
 @dataclass(frozen=True)
 class TestRunFiles:
-    """The TestRun in a project and the files in the project's ``Data`` that it names, such as the vehicle data set.
+    """Content of a TestRun, and of the files in the project's ``Data`` that the TestRun names (vehicle, roads, …).
 
     `path`: file of the TestRun. `named_values`: names of the named values that any of the files uses. `boxes`: boxes of
     ``Ego`` and of traffic objects, if the files contain them. `version`: version of CarMaker that wrote the TestRun, or
@@ -43,9 +43,9 @@ class TestRunFiles:
 
 
 def read_testrun_files(project: Path, testrun: str) -> TestRunFiles | None:
-    """Read a TestRun and the files that it names; return None if the TestRun is not in the project.
+    """Read a TestRun and the files that it names; return None if the project does not contain the TestRun.
 
-    For instance, IPG's examples are not in the project.
+    For instance, IPG's example TestRuns are in CarMaker's installation, not in the project.
     """
     data = project / "Data"
     path = data / "TestRun" / testrun
@@ -106,13 +106,13 @@ def _decode(content: bytes) -> str:
 
 
 def _named_values(entries: dict[str, str]) -> set[str]:
-    """Return the named values that any entry uses; the description, which only mentions them, is skipped."""
+    """Return the named values that the entries use; the entry ``Description`` is free text and skipped."""
     values = (value for key, value in entries.items() if key != "Description")
     return {first or second for value in values for first, second in _NAMED_VALUE.findall(value)}
 
 
 def _find_referenced_files(data: Path, entries: dict[str, str]) -> list[Path]:
-    """Return the files below ``Data`` that values name, as in ``Vehicle = DemoCar``."""
+    """Return the files in subfolders of ``Data`` that the values of entries name, as in ``Vehicle = DemoCar``."""
     names = {value for value in entries.values() if value and len(value) < 200 and "\n" not in value}
     files = []
     for folder in sorted(data.iterdir()):

@@ -52,7 +52,7 @@ _CLOSE_TIMEOUT: Final = 10.0
 
 @dataclass(frozen=True)
 class _ClusterTask:
-    """Scenarios of one Dask task, its identifier, and how often Dask lost the task before it had started."""
+    """Scenarios of one Dask task, identifier of the task, and how often workers were lost before it started."""
 
     indices: tuple[int, ...]
     task_id: TaskId
@@ -64,9 +64,9 @@ class ClusterSimulator(RemoteSimulator):
 
     If workers offer a resource with the simulator's name (``--resources "carla=1"``), only these workers get scenarios,
     at most as many at a time as the amount of the resource. `cluster` is ``"local"`` for `workers` processes on this
-    machine, a scheduler's address or file, or a client that stays open. A scenario is run `retries` times more if its
-    worker was lost; `max_failures` consecutive losses end the run (0: no limit). So do `worker_timeout` s without
-    workers.
+    machine, a scheduler's address or file, or a client that stays open. If a worker is lost, its scenario is run again,
+    up to `retries` times. The run ends after `max_failures` consecutive scenarios that lost their workers (0: no
+    limit), and when the cluster has had no workers for `worker_timeout` s.
     """
 
     def __init__(
@@ -135,18 +135,18 @@ class ClusterSimulator(RemoteSimulator):
                 self._client.cancel(list(running))
 
     def parallel_instances(self) -> Sequence[Simulator]:
-        """Return this simulator once for each task that can run at the same time; `InputError` without workers."""
+        """Return this simulator once for each task that can run at the same time; `InputError` if no worker comes."""
         return [self] * self._count_slots()[0]
 
     def cancel(self) -> None:
-        """Cancel the tasks for which other threads wait; tasks that have started continue, without a result."""
+        """Cancel the tasks for which other threads wait; tasks that run already continue, but give no result."""
         # RuntimeError: another thread adds a future meanwhile; the caller repeats the call.
         with suppress(OSError, CancelledError, TimeoutError, RuntimeError):
             if self._client.status == "running":
                 self._client.cancel(list(self._submitted_futures))
 
     def close(self) -> None:
-        """Close the simulators on the workers and disconnect; a local cluster ends."""
+        """Close the simulators on the workers, and disconnect from the cluster; a local cluster is ended."""
         super().close()
         # A lost cluster has nothing to close.
         with suppress(OSError, CancelledError, TimeoutError):
@@ -190,7 +190,10 @@ class ClusterSimulator(RemoteSimulator):
         return future
 
     def _send_bundle(self, scenario: ScenarioFile) -> Future[Any]:
-        """Return a future of a scenario's bundle on the cluster; the bundle is sent again if its worker was lost."""
+        """Return a Dask future of the bundle (all files) of a scenario, and send the bundle if the cluster lacks it.
+
+        A bundle is sent only once, unless the worker that stored it was lost.
+        """
         key = scenario.fingerprint() + str(scenario.path)
         if key not in self._sent_bundles or self._sent_bundles[key][1].status not in ("pending", "finished"):
             bundle = ScenarioBundle.from_file(scenario)
@@ -212,7 +215,7 @@ class ClusterSimulator(RemoteSimulator):
             text = " ".join(f"{type(error).__name__}: {error}".split())[:300]
             raise InputError(
                 f"`cluster` {describe_cluster(self._client)}: its workers cannot run '{self.name}' ({text}); install"
-                " the same versions on each as here."
+                " the same versions of all packages on each worker as on this machine."
             ) from error
         elif task.n_lost + 1 < _MAX_TASK_LOSSES:
             # Dask also counts workers that were lost before they started the task; the identifier stays the same.

@@ -31,10 +31,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SimulatorSetup:
-    """A simulator and its settings, as sent to the workers, for one exploration or suite (a job).
+    """A simulator and its settings for one exploration or suite (a job), as sent to the workers.
 
-    `version` is cornercase's version at the sender. `timeout` is in s. `options` are pickled by `pickle_simulator`,
-    since the Dask scheduler may not know the user's classes.
+    `version` is cornercase's version at the sender. `timeout` is in s. `options` are bytes from `pickle_simulator`: the
+    Dask scheduler also receives them, and could not unpickle objects of the user's own classes.
     """
 
     key: str
@@ -48,7 +48,7 @@ class SimulatorSetup:
 
 @dataclass(frozen=True)
 class TaskId:
-    """Identifier of scenarios that run together; they are given up when `lives` workers were lost during their run."""
+    """Identifier of a task of scenarios; the task is given up when it has cost `lives` workers."""
 
     name: str
     lives: int
@@ -107,8 +107,8 @@ class _JobState:
             return SIMULATORS.create(self._simulator, **options)
         if current_process().daemon:
             raise InputError(
-                "`cluster`: its workers may not start processes; set DASK_DISTRIBUTED__WORKER__DAEMON=False when you"
-                " start them."
+                "`cluster`: the workers cannot start the processes in which simulators run; set"
+                " DASK_DISTRIBUTED__WORKER__DAEMON=False when you start the workers."
             )
         return WorkerSimulator(self._simulator, options, 1, job.timeout, job.retries, job.max_failures)
 
@@ -146,7 +146,10 @@ def run_scenarios_of_job(
     bundles: Mapping[str, ScenarioBundle],
     scenarios: Sequence[tuple[str, Mapping[str, Value], int]],
 ) -> BatchResult | None:
-    """Run scenarios (bundle key, values, seed) of a job on this worker; None if their runs cost too many workers."""
+    """Run scenarios (bundle key, values, seed) of a job on this worker.
+
+    Return None without running them if too many workers were lost while they ran the same task.
+    """
     if job.version != __version__:
         raise InputError(
             f"`cluster`: a worker has cornercase {__version__}, this machine has {job.version}; install"
@@ -183,8 +186,8 @@ def _mark_started(task_id: TaskId) -> Iterator[bool]:
     """Mark a task as started while it runs; yield whether it may start.
 
     The mark is stored at the Dask scheduler. If a worker is lost, its mark remains, so that lost workers can be
-    counted; `forget_task` removes the mark. Dask's own limit (``allowed-failures``) is not enough: it is the same for
-    the whole cluster, and counts workers that had not started the task.
+    counted; `forget_task` removes the mark. Dask's own limit (``allowed-failures``) is not enough: the limit is the
+    same for the whole cluster, and also counts workers that were lost before they started the task.
     """
     from distributed import Event, get_client
 

@@ -67,8 +67,8 @@ def start_drivers(
             if entity.name in states:
                 if states[entity.name].ctrl_type != 0:
                     raise InputError(
-                        f"{scenario.path}: '{entity.name}' has one of esmini's controllers as well as a driver;"
-                        " `simulator` esmini:controllers=false turns esmini's off."
+                        f"{scenario.path}: '{entity.name}' has both a driver and one of esmini's controllers; leave out"
+                        " the driver, or turn esmini's controllers off with `simulator` esmini:controllers=false."
                     )
                 world.speed[e] = states[entity.name].speed
             created = create_file_driver(driver, str(scenario.path)) if isinstance(driver, str) else driver
@@ -124,12 +124,12 @@ class DrivenEntity:
 
     If the driver does not steer, esmini keeps the entity on its lane or trajectory.
 
-    In each time step, esmini first gets the driver's speed at the end of the step, and moves the entity with this
-    speed. If an action of the storyboard then sets another speed, it becomes the new target speed. The entity is then
-    moved to the position that it reaches with the driver's speed.
+    In each time step, esmini first gets the speed that the driver wants at the end of the step, and moves the entity
+    with this speed. If an action of the storyboard sets another speed in this step, the action's speed becomes the
+    target speed of the driver, and the entity is moved to the position that it reaches with the driver's speed.
 
-    `sets_speed`: whether an initial action sets the speed. `was_moved`: whether the entity was moved in the last step
-    after esmini looked for collisions.
+    `sets_speed`: whether an initial action sets the speed. `was_moved`: whether this class has moved the entity in the
+    last step, which is after esmini looked for collisions.
     """
 
     def __init__(
@@ -176,7 +176,7 @@ class DrivenEntity:
         """Let the driver decide the speed at the end of the coming step; return the error if the driver fails.
 
         `states`: states of all entities, by name. `speeds`: speeds in m/s that drivers have decided for this step, by
-        name; the new speed is added. `time`: in s.
+        entity; the speed of this entity is added. `time`: in s.
         """
         state = states.get(self.name)
         self._speed = self._pose = None

@@ -20,7 +20,7 @@ def check_driver_support(scenario: ScenarioFile, entity: str) -> None:
     scope, root = scenario.scope([{}]), scenario.root
     if not scenario.road_file_as_written():
         raise InputError(
-            f"{scenario.path}: has no road file, and in esmini the driver of '{entity}' drives on roads only; name one"
+            f"{scenario.path}: has no road file, but the driver of '{entity}' needs roads in esmini; name a road file"
             " in <LogicFile>, or leave out the driver."
         )
     initial = find_initial_trajectory_action(scenario, entity)

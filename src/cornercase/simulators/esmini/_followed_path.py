@@ -29,7 +29,7 @@ _ONE_ROW: Final = np.zeros(1, dtype=np.int64)
 
 
 class FollowedPath:
-    """The path that an entity follows: first its initial trajectory, if any, then the lane that it is on.
+    """The path that an entity follows: first its initial trajectory, if any, then the lane on which it drives.
 
     `path` is None if there is no lane. `distance` is the entity's position along the path in m.
     """
@@ -65,7 +65,7 @@ class FollowedPath:
         self._follow_lane(road, state, route)
 
     def move(self, state: ObjectState, step: float) -> None:
-        """Let esmini move the entity by `step` m along its lane; does nothing on a trajectory."""
+        """Let esmini move the entity by `step` m along its lane; do nothing if the entity follows a trajectory."""
         track = self._track
         if not isinstance(track, LaneTrack):
             return

@@ -82,7 +82,7 @@ def register_move_callback(lib: ctypes.CDLL, object_id: int, receiver: Callable[
 
 
 def find_library_path(library: str | None) -> Path:
-    """Return the path of esmini's library: `library`, or else the path in the variable ``CORNERCASE_ESMINI``."""
+    """Return the path of esmini's library: `library`, or else the environment variable ``CORNERCASE_ESMINI``."""
     text = library or os.environ.get(LIBRARY_VARIABLE, "")
     if not text:
         raise InputError(NOT_FOUND_MESSAGE)
@@ -163,17 +163,17 @@ def read_state(lib: ctypes.CDLL, object_id: int) -> ObjectState:
     """Read the state of an object by its id; `InputError` if esmini does not report it."""
     state = ObjectState()
     if lib.SE_GetObjectState(object_id, ctypes.addressof(state)) != 0:
-        raise InputError("esmini does not report the state of one of its objects; use another version.")
+        raise InputError("esmini does not report the state of one of its objects; use another version of esmini.")
     return state
 
 
 def read_road_name(lib: ctypes.CDLL, road: int) -> str:
-    """Return the id in the road file of a road that has the number `road` in esmini."""
+    """Return the id that a road has in the road file; `road` is its number in esmini."""
     return (lib.SE_GetRoadIdString(road) or b"").decode("utf-8", "replace")
 
 
 def read_route(lib: ctypes.CDLL, object_id: int) -> tuple[tuple[str, int, float], ...]:
-    """Return the waypoints of an object's route, as road id, lane and s in m; empty without a route."""
+    """Return the waypoints of an object's route, as road id, lane and road coordinate s (m); empty without a route."""
     points, point = list[tuple[str, int, float]](), RoutePoint()
     for k in range(max(lib.SE_GetNumberOfRoutePoints(object_id), 0)):
         if lib.SE_GetRoutePoint(object_id, k, ctypes.byref(point)) == 0:
@@ -186,7 +186,7 @@ def check_state_layout(lib: ctypes.CDLL, object_id: int) -> None:
     size = ctypes.sizeof(ObjectState)
     buffer = (ctypes.c_ubyte * (2 * size)).from_buffer_copy(bytes([_FILL_BYTE]) * (2 * size))
     if lib.SE_GetObjectState(object_id, ctypes.addressof(buffer)) != 0:
-        raise InputError("esmini does not report the state of one of its objects; use another version.")
+        raise InputError("esmini does not report the state of one of its objects; use another version of esmini.")
     written = bytes(buffer)
     # The last field is an int, followed by padding up to the next multiple of 8 bytes.
     is_shorter = written[size - 8 : size - 4] == bytes([_FILL_BYTE]) * 4
@@ -213,4 +213,7 @@ def encode_esmini_path(path: Path) -> bytes:
     try:
         return encode_path(path)
     except UnicodeEncodeError:
-        raise InputError(f"{path}: esmini cannot open a path with such characters here; move the scenario.") from None
+        raise InputError(
+            f"{path}: esmini cannot open a path with such special characters on this platform; move the scenario to"
+            " another folder."
+        ) from None

@@ -56,8 +56,8 @@ class Esmini(Simulator):
     on_collision : {"continue", "stop"}, default "continue"
         Whether the first collision of two entities ends the run. esmini detects collisions.
     drivers : mapping of str to str, Driver or Behaviour, optional
-        Driver of each entity, as for the builtin simulator. The driver decides the entity's speed, and esmini does the
-        rest.
+        Driver of each entity, as for the builtin simulator. The driver decides the entity's speed, and also its
+        pose if the driver steers; otherwise esmini keeps the entity on its lane or trajectory.
     seed : int, default 0
         Seed of esmini.
     controllers : bool, default True
@@ -164,7 +164,7 @@ class Esmini(Simulator):
         ):
             raise InputError(
                 f"{scenario.path}: names the road '{reference}', which was found as {road}, but esmini does not search"
-                " there; name that file in <LogicFile>."
+                " in that folder; name that file in <LogicFile>."
             )
         for entity, driver in self._drivers_of(scenario).items():
             if isinstance(driver, str):
@@ -172,7 +172,7 @@ class Esmini(Simulator):
             check_driver_support(scenario, entity)
 
     def check_runnable(self, concretes: Sequence[ConcreteScenario]) -> None:
-        """Refuse parameters of drivers that the option `undriven` leaves out."""
+        """Refuse values for parameters of a driver that the option `undriven` leaves out."""
         for concrete in concretes:
             self._refuse_parameters_of_absent_drivers(concrete.load_file(), concrete.values)
 
@@ -181,8 +181,9 @@ class Esmini(Simulator):
         for entity, _, names in find_parameters_of_drivers(scenario, driving, values):
             if entity not in driving:
                 raise InputError(
-                    f"{scenario.path}: {next(iter(names.values()))} is a parameter of {entity}'s driver in the file,"
-                    " which esmini:undriven=true leaves out; leave out the parameter or this option."
+                    f"{scenario.path}: {next(iter(names.values()))} is a parameter of the driver that the file names"
+                    f" for {entity}, but esmini:undriven=true leaves out this driver; leave out the parameter or this"
+                    " option."
                 )
 
     def _drivers_of(self, scenario: ScenarioFile) -> dict[str, str | Driver]:
@@ -240,7 +241,7 @@ class Esmini(Simulator):
     def _run_steps(
         self, lib: ctypes.CDLL, scenario: ScenarioFile, log: _StateLog, collides: bool, driven: Sequence[DrivenEntity]
     ) -> Recording | SimulationError:
-        """Simulate a scenario from its first state, which is recorded already, to its end; return its recording."""
+        """Simulate a scenario to its end, and return the recording; the first state must have been recorded already."""
         steps = round(self._duration / self._time_step)
         cut_off = False
         for step in range(steps + 1):

@@ -40,7 +40,7 @@ _START_TIMEOUT, _EXIT_CODE_TIMEOUT, _END_TIMEOUT = 60.0, 0.2, 10.0
 
 @dataclass(frozen=True)
 class WorkerTask:
-    """Scenarios, by index, that a worker process runs in one call of its simulator; and number of earlier attempts."""
+    """Indices of the scenarios that a worker process runs in one call, and the number of earlier attempts."""
 
     indices: tuple[int, ...]
     tries: int = 0
@@ -62,8 +62,9 @@ class WorkerProcess:
     `timeout` is in s per scenario. `reaper` ends the worker process if the main process dies, and owns the worker's
     temporary folder.
 
-    Attributes: `task` is the last task. `remaining` has the scenarios of this task without a result (empty if the
-    process is idle). `connection` leads to the process. `deadline` is the time limit, as a `time.monotonic` time.
+    Attributes: `task` is the last task. `remaining` has the indices of those scenarios of this task that have no result
+    yet (empty if the process is idle). `connection` is the pipe to the process. `deadline` is the time of
+    `time.monotonic` at which the next message is late.
     """
 
     connection: Connection
@@ -115,7 +116,10 @@ class WorkerProcess:
             self.deadline = time.monotonic() + self._timeout * len(self.remaining)
 
     def receive(self) -> WorkerMessage:
-        """Return the next message, None after the start; TimeoutError if late, EOFError or OSError if ended."""
+        """Return the next message; the first message, None, means that the simulator has started.
+
+        Raises TimeoutError if the deadline has passed, and EOFError or OSError if the process has ended.
+        """
         if not self.connection.poll():
             action = f"end within {self._timeout:g} s" if self._is_started else f"start within {_START_TIMEOUT:g} s"
             raise TimeoutError(f"the simulator did not {action}")
@@ -134,7 +138,7 @@ class WorkerProcess:
         return RunLostError(f"{text} from outside") if is_killed_externally(self._exit_code) else SimulatorError(text)
 
     def stop(self) -> None:
-        """End the process at once; does nothing if there is none."""
+        """End the process at once; do nothing if no process was started."""
         self.remaining, self._exit_code, self._is_started = [], None, False
         if self._process is None:
             return
@@ -204,7 +208,7 @@ def _worker_main(connection: Connection, simulator_description: bytes, folder: P
 
 
 def _require_simulator_registered(name: str | type[Simulator]) -> None:
-    """Raise `InputError` if this worker process does not know the simulator; the message says why."""
+    """Raise `InputError` if no simulator of this name is registered in this worker process."""
     if isinstance(name, str) and (base := name.partition(":")[0]) not in SIMULATORS:
         raise InputError(
             f"Worker processes find no simulator '{base}', as they do not search the current folder for packages;"

@@ -35,10 +35,11 @@ class _FailureCount:
 class WorkerSimulator(RemoteSimulator):
     """Simulator in worker processes, each with its own instance; the number of processes does not change results.
 
-    If the simulator is `batched`, each process gets an equal share of the scenarios, otherwise one at a time. If a
-    batch crashes or hangs, its scenarios without a result are run again one by one. `timeout` is in s per scenario; the
-    simulator has another minute to start. `retries` is the number of further runs after a failure; a process that was
-    killed from outside gets at least one retry. `max_failures` consecutive failures end the run (0: no limit).
+    If the simulator is `batched`, each process gets an equal share of the scenarios as one batch, otherwise one
+    scenario at a time. If the simulator crashes or hangs in a batch, the scenarios without a result are run again one
+    by one. `timeout` is in s per scenario; the start of the simulator may take a minute. A scenario that fails is run
+    again up to `retries` times, and at least once if its process was killed from outside. `max_failures` consecutive
+    failures end the run (0: no limit).
     """
 
     def __init__(
@@ -99,7 +100,7 @@ class WorkerSimulator(RemoteSimulator):
             worker.kill()
 
     def close(self) -> None:
-        """End the processes; idle ones close their simulator first."""
+        """End the processes; an idle process closes its simulator first."""
         for worker in self._workers:
             worker.close_connection()
         for worker in self._workers:
@@ -175,7 +176,8 @@ class WorkerSimulator(RemoteSimulator):
                 raise InputError(
                     f"The simulator '{self.name}' gave no result in"
                     f" {self._consecutive_failures.count} scenarios in a row"
-                    f" (`max_failures`); in the last one {failure}. Fix it, and run the same command again to resume."
+                    f" (`max_failures`); in the last one {failure}. Fix the cause, and run the same command again to"
+                    " resume."
                 )
             times = "once" if task.tries == 0 else f"{task.tries + 1} times"
             error_class = RunLostError if isinstance(failure, RunLostError) else SimulationError
@@ -183,7 +185,7 @@ class WorkerSimulator(RemoteSimulator):
 
 
 def _describe_process(options: Mapping[str, Any]) -> str:
-    """Describe a simulator's process in messages; names drivers of the user, since these may have ended the process."""
+    """Return a description of a simulator's process that names the user's own drivers, which may have ended it."""
     drivers = [
         f"the driver of {quote_name(entity)} ({name})"
         for entity, driver in (options.get("drivers") or {}).items()

@@ -52,10 +52,10 @@ _REMOTE_OFFSET: Final = 1e5
 
 
 class SumoCoupling:
-    """A run of SUMO that is coupled with a storyboard; a process can have only one.
+    """A run of SUMO that is coupled with a storyboard; a Python process can have only one such run at a time.
 
-    `types`: vehicle types of the entities that SUMO drives, by entity. SUMO sees all other entities, too. `error`:
-    reason if SUMO has failed, else None.
+    `types`: vehicle types of the entities that SUMO drives, by entity. SUMO also sees each other entity while its box
+    reaches into a lane. `error`: the error if SUMO has failed, else None.
     """
 
     def __init__(self, network: Path, types: Mapping[str, str], time_step: float, seed: int) -> None:
@@ -90,9 +90,9 @@ class SumoCoupling:
     def step(self, world: World, dt: float) -> None:
         """Advance SUMO by a time step `dt` in s.
 
-        SUMO first gets the positions that the other entities have at the end of the step. After the step, the entities
-        that SUMO drives are moved in `world`, which must hold a single scenario. If `dt` is 0, entities are only added
-        to SUMO.
+        Before the step, SUMO gets the positions that the entities of the storyboard will have at the end of the step.
+        After the step, the entities that SUMO drives are moved in `world`. If `dt` is 0, entities are only added to
+        SUMO. `world` must hold a single scenario.
         """
         if self.error is not None or not world.running[0]:
             return
@@ -180,7 +180,7 @@ class SumoCoupling:
             self._sumo.vehicle.setMaxSpeed(name, max(max_speed, 0.01))
 
     def _move_in_sumo(self, world: World, e: int, name: str, dt: float) -> None:
-        """Move an entity in SUMO to its position at the end of the step."""
+        """Move an entity in SUMO to its position at the end of the step, or far away if the entity is on no lane."""
         speed, heading = float(world.speed[e, 0]), float(world.heading[e, 0])
         x, y = self._front_position(world, e)
         # A driver that steers has moved its entity already.
@@ -195,7 +195,7 @@ class SumoCoupling:
         self._sumo.vehicle.moveToXY(name, "", -1, x, y, angle, keepRoute=1 if follows_lane else 2)
 
     def _is_on_lane(self, world: World, e: int) -> bool:
-        """Return whether an entity's box reaches into a drivable lane; cached while the entity stands."""
+        """Return whether an entity's box reaches into a drivable lane; the answer is cached while the entity stands."""
         if world.network is None:
             return True
         pose = (float(world.x[e, 0]), float(world.y[e, 0]), float(world.heading[e, 0]))

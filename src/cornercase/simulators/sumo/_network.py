@@ -30,7 +30,7 @@ def find_or_convert_network(
     """
     if network_file is not None:
         if not Path(network_file).is_file():
-            raise InputError(f"{network_file}: there is no such network file; give a .net.xml.")
+            raise InputError(f"{network_file}: there is no such network file; give a .net.xml file.")
         return Path(network_file)
     roads = scenario.road_path_for(values)
     if roads is None:
@@ -38,7 +38,7 @@ def find_or_convert_network(
     if roads.name.endswith(".net.xml"):
         raise InputError(
             f"{scenario.path}: names SUMO's network {roads.name} as its roads, but positions on roads need OpenDRIVE;"
-            " name an OpenDRIVE file there, and give the network with `simulator` sumo:network=FILE."
+            " name an OpenDRIVE file in <LogicFile>, and give the network with `simulator` sumo:network=FILE."
         )
     content = read_file(roads)
     key = hashlib.sha256(content).hexdigest()[:32]

@@ -32,10 +32,10 @@ from cornercase.simulators.sumo._network import find_or_convert_network
 class Sumo(Simulator):
     """Simulator that runs concrete scenarios in which SUMO's car-following and junction models drive vehicles.
 
-    SUMO drives entities with the driver ``cautious``, ``normal`` or ``aggressive``, as a vehicle type of that name. All
-    other entities move as in the builtin simulator, and SUMO sees them: a vehicle that follows its lane as traffic on a
-    route, any other entity at its position on the road. So all scenarios of the builtin simulator can run here, but a
-    vehicle that SUMO drives follows its lane and ignores trajectories.
+    SUMO drives entities with the driver ``cautious``, ``normal`` or ``aggressive``: each is a vehicle type of SUMO. All
+    other entities move as in the builtin simulator, and SUMO sees those on lanes: a vehicle that follows its lane as
+    traffic on a route, any other entity at its position on the road. So all scenarios of the builtin simulator can run
+    in SUMO, but a vehicle that SUMO drives follows its lane and ignores trajectories.
 
     Parameters
     ----------
@@ -46,7 +46,8 @@ class Sumo(Simulator):
     on_collision : {"continue", "stop"}, default "continue"
         Whether the first collision ends the run. As in the builtin simulator, entities collide if their boxes overlap.
     drivers : mapping of str to str, SystemUnderTest or Driver, optional
-        Vehicle type of SUMO or driver of cornercase, by entity.
+        Driver by entity: ``"cautious"``, ``"normal"`` or ``"aggressive"`` for a vehicle type of SUMO, or any other
+        driver of cornercase.
     seed : int, default 0
         Seed of SUMO. It has no effect with the built-in vehicle types, which are deterministic.
     network : str, optional
@@ -112,12 +113,12 @@ class Sumo(Simulator):
 
     @classmethod
     def notices(cls, scenario: ScenarioFile, values: Mapping[str, Value] | None = None) -> tuple[Notice, ...]:
-        """List content that has no effect, as in the builtin simulator, which runs the storyboard."""
+        """Return notices about content of a scenario file that has no effect: the same as in the builtin simulator."""
         return read_and_collect_notices(scenario, values)
 
     @classmethod
     def own_agents(cls) -> Mapping[str, Mapping[str, object]]:
-        """Return the options for each car-following model of SUMO, by model."""
+        """Return the simulator options that let each car-following model of SUMO drive the ego, by model."""
         return {f"SUMO's model '{name}'": {"drivers": {"Ego": name}} for name in VEHICLE_TYPES}
 
     def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
@@ -172,11 +173,11 @@ class Sumo(Simulator):
         )
 
     def check_supported(self, scenario: ScenarioFile) -> None:
-        """Refuse a scenario with an unknown driver, or with a sensor or vehicle for one of SUMO's own models."""
+        """Refuse unknown drivers, and sensors or vehicle models of an entity that SUMO itself drives."""
         self._find_vehicle_types(scenario)
 
     def check_runnable(self, concretes: Sequence[ConcreteScenario]) -> None:
-        """Refuse driver parameters of entities that SUMO itself drives."""
+        """Refuse values for parameters of a driver of cornercase if SUMO itself drives the entity."""
         for concrete in concretes:
             scenario = concrete.load_file()
             self._refuse_parameters_of_absent_drivers(scenario, self._find_vehicle_types(scenario), concrete.values)
@@ -188,7 +189,8 @@ class Sumo(Simulator):
             if entity in types:
                 raise InputError(
                     f"{scenario.path}: {next(iter(names.values()))} is a parameter of a driver of cornercase, but SUMO"
-                    f" itself drives {entity} as '{types[entity]}'; leave it out, or give another driver."
+                    f" itself drives {entity} as '{types[entity]}'; leave out the parameter, or give {entity} another"
+                    " driver."
                 )
 
     def _find_vehicle_types(self, scenario: ScenarioFile) -> dict[str, str]:
@@ -200,8 +202,9 @@ class Sumo(Simulator):
             model, equipment = split_spec(driver)
             if equipment and model in VEHICLE_TYPES:
                 raise InputError(
-                    f"{scenario.path}: '{name}' asks for the driver '{driver}', but '{model}' is a model of SUMO here,"
-                    f" which takes neither sensors nor a vehicle; leave out '{equipment[0]}', or give another driver."
+                    f"{scenario.path}: '{name}' asks for the driver '{driver}', but here '{model}' is SUMO's"
+                    f" own model, which uses no sensors and no vehicle model; leave out '{equipment[0]}', or give"
+                    " another driver."
                 )
             if driver not in VEHICLE_TYPES and not is_registered_driver(driver):
                 hint = suggest_name(driver.partition(":")[0], (*VEHICLE_TYPES, *DRIVERS.names()))
