@@ -104,7 +104,7 @@ def test_a_scenario_that_has_moved_or_changed_is_named(far, tmp_path):
     with pytest.raises(cc.InputError, match=f"{file}: the file, its road or its catalogs have changed since"):
         _ = study.problem
     file.unlink()
-    with pytest.raises(cc.InputError, match=r"two folders below; name it as in Study\.open\(…, scenario=…\)"):
+    with pytest.raises(cc.InputError, match=r"two folders below them; name it as in Study\.open\(…, scenario=…\)"):
         _ = study.problem
     assert cc.Study.open(far, scenario=X).problem.scenario.path == X
 

@@ -249,7 +249,7 @@ def test_stumble_04_where_no_score_says_what_is_critical_that_is_said(tmp_path):
     search = (*SEARCH, "--metric", "wttc", "--metric", "distance", "--optimizer", "sobol")
     for options, words in (
         (("--pareto",), "a Pareto front has no threshold; leave out --critical"),
-        (("--critical-if", "wttc < 1"), "the condition 'wttc < 1' replaces a threshold; leave out --critical"),
+        (("--critical-if", "wttc < 1"), "the condition 'wttc < 1' decides what is critical; leave out --critical"),
     ):
         study = tmp_path / f"study{options[0]}.db"
         assert cornercase(*search, *options, "-o", study).returncode == 0

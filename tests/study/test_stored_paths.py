@@ -219,7 +219,7 @@ def test_42_10_the_scenario_is_taken_from_where_the_study_says(apart, tmp_path):
     done = cornercase("reduce", apart, "-o", tmp_path / "again")
     assert done.returncode == 2
     assert (
-        f"the scenario file '{X.name}' was not found beside the study, in the current folder, up to two folders below, or"
+        f"the scenario file '{X.name}' was not found beside the study, in the current folder, up to two folders below them, or"
         f" at ../{X.name}; name it with --scenario." in done.stderr
     )
     assert sorted(one.name for one in apart.parent.iterdir()) == ["s.db", "s.db.damaged"]
@@ -354,7 +354,7 @@ def test_a_file_that_cannot_be_read_is_passed_over_and_named_where_no_other_is_f
             assert found_path(file) == beside / "sub" / X.name
         shutil.rmtree(beside / "sub")
         (explored / X.name).write_text("<OpenSCENARIO>")
-        with pytest.raises(InputError, match=r"XML.*; name the file that was explored with `scenario`"):
+        with pytest.raises(InputError, match=r"XML.*; use `scenario` to name the file that was explored"):
             found_path(file)
 
 

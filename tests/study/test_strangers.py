@@ -152,7 +152,7 @@ def test_the_scenario_file_is_asked_for_or_found_beside_the_study(whole, sent, t
     assert [one.read_bytes() for one in sorted((tmp_path / "a").iterdir())] == [
         one.read_bytes() for one in sorted((tmp_path / "b").iterdir())
     ]
-    with pytest.raises(cc.InputError, match=r"changed since .* name the file that was explored with `scenario`"):
+    with pytest.raises(cc.InputError, match=r"changed since .* use `scenario` to name the file that was explored"):
         cc.reduce(sent, tmp_path / "c", scenario=_changed(sent.parent / "another name.xosc"))
     assert not (tmp_path / "c").exists()
 

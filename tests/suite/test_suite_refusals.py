@@ -31,7 +31,7 @@ def test_no_verdicts_of_another_run_are_left_where_nothing_can_be_run(reduced, t
 def test_nothing_else_is_written_over(option, reduced, tmp_path):
     for name in ("mine.py", "README.md", "later.db"):
         (tmp_path / name).write_text("# Kept\n")
-        with pytest.raises(cc.InputError, match="exists and has other content"):
+        with pytest.raises(cc.InputError, match="exists and is not from an earlier run"):
             cc.run_suite(reduced, tmp_path / "run.db", **{option: tmp_path / name})
         assert (tmp_path / name).read_text() == "# Kept\n"
     # GitHub makes an empty one.
@@ -68,8 +68,8 @@ BAD = {
     "the road has changed": (lambda f: next(f.glob("*.xodr")).write_bytes(b"<OpenDRIVE/>"), "has changed since"),
     "another format": (lambda f: spoilt(f, format=3), "has the format 3"),
     "an early version": (lambda f: spoilt(f, format=None), "an earlier version of cornercase wrote it"),
-    "imported": (lambda f: spoilt(f, simulator="imported"), "its recordings were imported"),
-    "options of a stranger": (lambda f: spoilt(f, simulator="esmini:library=evil.so"), "whose options could run programs; give `simulator`"),
+    "imported": (lambda f: spoilt(f, simulator="imported"), "was made from imported recordings"),
+    "options of a stranger": (lambda f: spoilt(f, simulator="esmini:library=evil.so"), "and these options could run programs; give `simulator`"),
     "a file elsewhere": (lambda f: spoilt(f, files={"../../secret": "0"}), "is not a file in its folder"),
     "no JSON": (lambda f: (f / "manifest.json").write_text("{"), "is not valid JSON"),
     "a study": (lambda f: (f / "manifest.json").write_bytes(b"SQLite format 3\0\xea"), "is a study; run `reduce` first"),
@@ -82,7 +82,7 @@ BAD = {
     ),
     "values of nothing": (lambda f: spoilt_value(f, {}), "do not fit its parameter space"),
     "values that are too large": (lambda f: spoilt_value(f, {"ego_speed_mps": 10**400}), "manifest.json: "),
-    "an unknown metric": (lambda f: spoilt(f, metrics=["tcc"]), "manifest.json names the metric 'tcc', which is none of cornercase"),
+    "an unknown metric": (lambda f: spoilt(f, metrics=["tcc"]), "manifest.json names the metric 'tcc', which cornercase does not have"),
     "no time step": (lambda f: spoilt(f, settings={"time_step": 0}), "manifest.json: time_step 0: choose"),
     "no duration at all": (lambda f: spoilt(f, settings={"duration": 10**400}), "manifest.json: duration"),
     "a name without end": (lambda f: spoilt(f, files={"x" * 300: "0"}), "names a file that cannot be read"),
@@ -122,7 +122,7 @@ def test_42_2_values_that_the_file_does_not_have_are_refused(reduced, tmp_path):
         ({"require": ["tcc > 1.5"]}, "ttc"),
         ({"require": ["no collision with Pedestrian"]}, "has no entity 'Pedestrian'"),
         ({"require": ["no collision with Ego"]}, "names the ego itself"),
-        ({"require": ['for "\\ud800": no collision']}, "not a pattern of names"),
+        ({"require": ['for "\\ud800": no collision']}, "is empty or not quoted as in JSON"),
         ({"require": ["no collision with \udcff"]}, "holds half a character"),
         ({"require": ["for x*.xosc: no collision"]}, "no file of"),
         ({"metrics": ["tcc"]}, "did you mean 'ttc'"),
@@ -168,7 +168,7 @@ def test_a_name_that_is_no_text_is_refused(reduced, tmp_path):
     (reduced / "manifest.json").unlink()
     source = next(reduced.glob("*.xosc"))
     shutil.copy(source, os.fsencode(reduced) + b"/bad\xff.xosc")
-    with pytest.raises(cc.InputError, match="is not plain text; rename"):
+    with pytest.raises(cc.InputError, match="is not UTF-8; rename"):
         cc.run_suite(reduced, tmp_path / "run.db", ego="Ego", other="C")
 
 

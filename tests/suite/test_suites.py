@@ -242,7 +242,7 @@ def test_a_run_is_compared_with_an_earlier_run(explored, ran, tmp_path):
 
 def test_a_folder_of_files_is_run_with_what_differs_as_parameters(reduced, ran, tmp_path):
     (reduced / "manifest.json").unlink()
-    with pytest.raises(cc.InputError, match="does not define it; name an entity"):
+    with pytest.raises(cc.InputError, match="does not say which entity this is; name an entity"):
         cc.run_suite(reduced, tmp_path / "run.db")
     about: dict[str, Any] = {"ego": "Ego", "other": "C", "metrics": ["ttc"], "on_collision": "stop"}
     result = cc.run_suite(reduced, tmp_path / "run.db", **about, against=ran.study)

@@ -1,4 +1,4 @@
-"""Outcomes of scenarios that were run again with a reference driver, as rows of the table of metric courses."""
+"""Store outcomes of runs with a reference driver in the table ``courses``, between the courses of metrics."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _SCORE_BY_OUTCOME: Final = {collides: code for code, collides in _OUTCOME_BY_SCO
 
 
 def reference_metric_name(driver: str) -> str:
-    """Return the text that outcomes with a reference driver have in the column `metric` of the table ``courses``."""
+    """Return the value of the column ``metric`` for outcomes with this driver, in the table ``courses``."""
     return f"reference:{driver}"
 
 

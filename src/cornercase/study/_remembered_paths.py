@@ -1,6 +1,7 @@
-"""Paths of explored scenario files that only this machine stores, since they would reveal folders in a study.
+"""Remember paths of explored scenario files in the user's cache.
 
-Each path is in a small file in the user's cache, named after the fingerprint (SHA-256) of the scenario.
+A study does not store paths that would reveal private folders, so these paths stay on this machine. Each path is stored
+in a small file of its own, whose name is the fingerprint (SHA-256) of the scenario.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from cornercase.study._stored_paths import format_stored_path, resolve_stored_pa
 
 
 def remember_scenario_path(file: Path, fingerprint: str, study: Path) -> None:
-    """Store the path of a scenario file in the user's cache, unless the path in its study leads to the file.
+    """Store the path of a scenario file in the user's cache, unless the path stored in `study` leads to the file.
 
     Do nothing if the cache cannot be written.
     """

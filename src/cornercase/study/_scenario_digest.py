@@ -1,7 +1,8 @@
 """Digests of recordings: values that analysis, report and live page need, stored so that no recording is unpacked.
 
-Except for `rounded`, the values of a digest are exact. Only series and courses are downsampled to every k-th instant;
-the first recordings of a study decide this stride k.
+Series and courses are downsampled to every k-th instant; the lengths of the first recordings of a study decide this
+stride k. The values at these instants are exact. Only `lines` (curves of courses) and `rounded` (for the replay in the
+report) are approximations.
 """
 
 from __future__ import annotations
@@ -53,12 +54,14 @@ DIGEST_PARTS: Final[frozenset[DigestPart]] = frozenset(get_args(DigestPart))
 class ScenarioDigest:
     """Digest of one scenario: the values that analysis and report need of its recording and metric courses.
 
-    `begin` and `end` are the first and the last instant in s. `bounds` are x_min, y_min, x_max, y_max of all reference
-    points in m; None if no entity exists. `outcomes` and `features` have an item for each other entity of the study.
-    `series` and `courses` are downsampled to M instants: every `stride`-th, and the last. `series` has the columns
-    time, position of the ego, and position and bearing of each other entity: shape (M, 3 + 4 others). `courses` has the
-    shape (M, metrics). `lines` are capped courses at 48 evenly spaced times, shape (metrics, 48). `rounded` is the
-    recording with its capped courses in the format of `encode_rounded`; empty if the package of a metric is missing.
+    `begin` and `end` are the first and the last instant in s. `bounds` are x_min, y_min, x_max, y_max of the reference
+    points of all entities in m; None if no entity exists. `outcomes` and `features` have one item for each of the
+    others (the entities of the study except the ego). `series` and `courses` are downsampled to M instants: every
+    `stride`-th, and the last. `series` has the columns time, x and y of the ego, and for each of the others x, y and
+    the two components of its bearing (unit vector from the ego): shape (M, 3 + 4 others). `courses` has the shape (M,
+    metrics). `lines` are courses at 48 evenly spaced times, with values capped as for display, shape (metrics, 48).
+    `rounded` is the recording with its capped courses in the format of `encode_rounded`; empty if the package of a
+    metric is missing.
     """
 
     n_instants: int
@@ -81,13 +84,14 @@ class ScenarioDigest:
 
     @property
     def ego_position(self) -> FloatArray:
-        """Centre of the ego's box in m at the M downsampled instants, shape (M, 2)."""
+        """Centre of the ego's bounding box in m at the M downsampled instants, shape (M, 2)."""
         return self.series[:, _EGO_COLUMNS]
 
     def position_and_bearing(self, other_index: int) -> tuple[FloatArray, FloatArray]:
-        """Return two arrays of shape (M, 2) for another entity, at the M downsampled instants.
+        """Return position and bearing of another entity at the M downsampled instants, each with shape (M, 2).
 
-        They are the centre of the entity's box in m, and the unit vector from the ego to the entity.
+        The position is the centre of the entity's bounding box in m. The bearing is the unit vector from the ego to the
+        entity, with components ahead and to the left as seen from the ego.
         """
         first = _FIRST_OTHER_COLUMN + _N_OTHER_COLUMNS * other_index
         return self.series[:, first : first + 2], self.series[:, first + 2 : first + 4]
@@ -108,9 +112,10 @@ def make_digest(
     stride: int,
     metrics: Sequence[Metric] | None = None,
 ) -> ScenarioDigest:
-    """Make the digest of a recording and its metric courses; the courses of missing metrics are NaN.
+    """Make the digest of a recording and its metric courses.
 
-    `metrics` are the metrics of the study, by default created from `meta`.
+    If `courses` lacks a metric of the study, the digest gets a course of NaN for the metric. `metrics` are the metrics
+    of the study, by default created from `meta`.
     """
     # Kernels take long to import, and readers of digests do not need them.
     from cornercase.metrics._ending import Poses, find_outcomes, measure_features_per_outcome
@@ -149,7 +154,7 @@ def make_digest(
 def _compute_series(recording: Recording, meta: StudyMeta, instants: IntArray, poses: Poses) -> FloatArray:
     """Return the series of a digest at M instants, given as indices, shape (M, 3 + 4 others).
 
-    The columns are time, position of the ego, and position and bearing of each other entity.
+    The columns are time, position of the ego, and position and bearing of each entity except the ego.
     """
     centers = np.array([poses.x, poses.y])
     if np.isfinite(centers).all() and np.isfinite(recording.heading).all():
@@ -178,7 +183,7 @@ def create_metrics_if_known(meta: StudyMeta) -> tuple[Metric, ...]:
 
 
 def downsampling_stride(lengths: Sequence[int]) -> int:
-    """Return the stride, at least 1, that leaves at most about 100 instants of a series of median length."""
+    """Return the stride that downsamples a series of the median of these lengths to at most about 100 instants."""
     return max(1, math.ceil(float(np.median(lengths)) / MAX_INSTANTS))
 
 
@@ -192,7 +197,7 @@ def downsample(series: _Array, stride: int) -> _Array:
 def resample_course(time: FloatArray, course: Float32Array, lower_is_critical: bool) -> FloatArray:
     """Resample a capped course at `COURSE_POINTS` evenly spaced times; return shape (COURSE_POINTS,).
 
-    The most critical value is kept at the nearest of these times, so that a short critical peak stays visible.
+    The nearest of these times gets the most critical value of the course, so that a short critical peak stays visible.
     """
     begin, end = float(time[0]), float(time[-1])
     line = np.interp(np.linspace(begin, end, COURSE_POINTS), time, course)
@@ -219,14 +224,14 @@ def find_bounds(recording: Recording) -> Bounds | None:
 
 
 def measure_registered_features(recording: Recording, meta: StudyMeta) -> FloatArray:
-    """Compute the f registered features of a recording, shape (f,)."""
+    """Compute the f features of a recording that cornercase and other packages have registered, shape (f,)."""
     entities = recording.with_absent_entities((meta.ego, *meta.others))
     features: FloatArray = compute_features([entities], meta.ego, meta.others)[0]
     return features
 
 
 def encode_digest(digest: ScenarioDigest, features: FloatArray) -> tuple[str, bytes]:
-    """Encode a digest as a JSON text (its facts) and an archive of arrays.
+    """Encode a digest as a JSON text, called the facts of the digest, and an archive of arrays.
 
     `features` are the f registered features of the recording, shape (f,).
     """
@@ -323,7 +328,7 @@ def decode_digest(
     meta: StudyMeta,
     parts: Collection[DigestPart] = DIGEST_PARTS,
 ) -> ScenarioDigest:
-    """Decode a digest without the registered features; raise `ValueError` if it does not fit the study.
+    """Decode a digest without the registered features; raise `ValueError` if the digest does not fit the study.
 
     Only the arrays in `parts` are decoded; other arrays are empty.
     """
@@ -377,8 +382,8 @@ def decode_rounded_recording(arrays: Mapping[str, npt.NDArray[Any]]) -> bytes:
 def decode_features(packed: bytes, checksum: int) -> FloatArray | None:
     """Return the f registered features in the archive of a digest, shape (f,).
 
-    None if the archive has no features, or if `checksum` shows that other features were registered. `ValueError` unless
-    each feature is one finite number.
+    None if the archive has no features, or if the stored checksum differs from `checksum`: other features were
+    registered when the digest was made. Raises `ValueError` unless each feature is one finite number.
     """
     arrays = unpack_arrays(packed, names=("features", "features_checksum"))
     if not arrays or int(arrays["features_checksum"]) != checksum:
@@ -398,7 +403,7 @@ def registered_features_checksum() -> int:
 
 
 def decode_bounds(facts: Mapping[str, Any]) -> Bounds | None:
-    """Return the bounding box of a recording from the facts of its digest."""
+    """Return the bounds of a recording, as computed by `find_bounds`, from the facts of its digest."""
     if facts["bounds"] is None:
         return None
     x_min, y_min, x_max, y_max = map(float, facts["bounds"])

@@ -24,13 +24,15 @@ def find_explored_scenario(
 ) -> ScenarioFile | None:
     """Find the scenario file that a study explored; `InputError` if the file has changed or is not found.
 
-    Return None for imported recordings, and the first scenario file for a suite. If `scenario` is given, only this file
-    is checked. Otherwise the file is searched at the path where this machine explored it, beside the study, and in the
-    current folder; the first file with the fingerprint of the study is returned.
+    Return None if the recordings of the study were imported. For a suite, which has several scenario files, return the
+    first. If `scenario` is given, only this file is checked. Otherwise the file is searched at the path where this
+    machine explored it, then beside the study and in the current folder, up to two folders below each; the first file
+    with the fingerprint of the study is returned.
 
-    `search_stored_path` first searches at the path that the study stores. Use it only if the command needs the file,
-    since a study may come from anyone. `search_remembered_path` searches at the path where this machine explored the
-    file. Do not use it if the result shows the path, which may reveal folders.
+    With `search_stored_path`, the path that the study stores is searched first. Use this option only if the command
+    cannot do without the file: a study from somebody else may store any path. With `search_remembered_path`, the path
+    where this machine explored the file is searched. Turn this option off if the result shows the path, because the
+    path may reveal folders.
     """
     meta = study.meta
     if meta.simulator == IMPORTED_SIMULATOR:
@@ -57,20 +59,21 @@ def find_explored_scenario(
         raise InputError(
             f"{study.path}: the scenario file '{meta.file_name}' was not found beside the study, in the current"
             " folder, up to"
-            f" two folders below{at}; name it with `scenario`."
+            f" two folders below them{at}; name it with `scenario`."
         )
     files = list(dict.fromkeys(str(path.resolve()) for path in changed))
     try:
         first = add_varied_roads(ScenarioFile.read(changed[0]), meta.space)
     except (InputError, OSError) as error:
-        raise InputError(f"{str(error).rstrip('.')}; name the file that was explored with `scenario`.") from error
+        raise InputError(f"{str(error).rstrip('.')}; use `scenario` to name the file that was explored.") from error
     return _require_explored(study, first, len(files) - 1)
 
 
 def _require_explored(study: StudyFile, scenario: ScenarioFile, n_others: int = 0) -> ScenarioFile:
     """Return the scenario if the study explored it; `InputError` otherwise.
 
-    `n_others` is the number of further files of this name that differ, for the message.
+    `n_others` is the number of further files with the same name that do not fit the study either; the message gives
+    this number.
     """
     if scenario.fingerprint() == study.meta.fingerprint:
         return scenario
@@ -80,5 +83,5 @@ def _require_explored(study: StudyFile, scenario: ScenarioFile, n_others: int = 
     others = f" (further files of this name that differ: {n_others})" if n_others else ""
     raise InputError(
         f"{scenario.path}: the file, its road or its catalogs have changed since {study.path} was explored{others};"
-        " restore them, name the file that was explored with `scenario`, or run `explore` again, into another study."
+        " restore them, use `scenario` to name the file that was explored, or run `explore` again, into another study."
     )

@@ -64,10 +64,10 @@ def build_scenario_table(
 ) -> pd.DataFrame:
     """Build the table that `StudyFile.table` returns, with one row per scenario.
 
-    `scores` maps a column to its values, one for each scenario that ran. `clusters` maps an aspect (what scenarios are
-    compared by) to scenario ids and cluster labels. `audits` marks the rows drawn at random as a check.
-    `score_sources` maps a metric to the entity that each score is measured against, by scenario id. The other mappings
-    are by scenario id.
+    `scores` maps the name of a column to one value for each scenario that ran. `clusters` maps an aspect (what
+    scenarios are compared by) to scenario ids and cluster labels. `audits` is True for scenarios that were drawn at
+    random to check the search. `score_sources` maps a metric to the entity that each score is measured against, by
+    scenario id. The other mappings are by scenario id.
     """
     # Imported here, since opening a study does not need it.
     import pandas as pd

@@ -16,10 +16,10 @@ _MAX_PARENT_STEPS: Final = 3
 def format_stored_path(file: Path, study: Path) -> str:
     """Return the path of a file or folder as a study stores it.
 
-    The path is relative to the folder of the study, with ``/`` between its parts. So the same files in another place
-    give the same study. Only the name is stored if the relative path would reveal folders of the machine. This is so if
-    the path leads up more than three folders, or if it leads up to the root of the file system, to the user's home or
-    to a folder above the home, and down again from there.
+    The path is relative to the folder of the study, with ``/`` between its parts. So a study stays the same if it is
+    made in another place with the same files. Only the name of the file is stored if the relative path would reveal
+    folders of the machine: if the path leads up more than three folders, or if the path leads up to the root of the
+    file system, to the user's home or to a folder above the home, and then down into another folder.
 
     >>> format_stored_path(Path("/data/acc/scenarios/cut_in.xosc"), Path("/data/acc/results/s.db"))
     '../scenarios/cut_in.xosc'
@@ -46,8 +46,8 @@ def format_stored_path(file: Path, study: Path) -> str:
 def resolve_stored_path(stored: str, study: Path) -> Path | None:
     """Return the scenario file that a result of `format_stored_path` leads to; None if there is no such file.
 
-    A study may come from anyone. So only paths as from `format_stored_path` are followed, and only to OpenSCENARIO
-    files of an accepted size.
+    A study may come from anyone. So only paths of the form that `format_stored_path` returns are followed, and only to
+    OpenSCENARIO files of an accepted size.
     """
     parts = stored.split("/")
     n_up = parts.count("..")

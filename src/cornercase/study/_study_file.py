@@ -142,7 +142,7 @@ class StudyFile:
         try:
             check_no_surrogates(json.dumps(items, ensure_ascii=False))
         except ValueError as error:
-            raise InputError(f"{path}: cannot be created, since {error}; rename it.") from error
+            raise InputError(f"{path}: cannot be created, since {error}; change this name.") from error
         return cls(Database.create(Path(path), rows, *optional_table_names(meta)))
 
     @classmethod
@@ -180,7 +180,7 @@ class StudyFile:
 
     @property
     def writer(self) -> StudyWriter:
-        """Object that writes to the study, if it was opened for writing."""
+        """Writer of this study; writing raises `InputError` if the study is open for reading only."""
         return StudyWriter(self, self._database)
 
     @property
@@ -334,11 +334,12 @@ class StudyFile:
         return np.array([row.point for row in self.finished_rows()]).reshape(-1, self.space.dimension)
 
     def audit_mask(self) -> BoolArray:
-        """Return a mask of the scenarios that ran: True for audits, drawn at random and hidden from the search.
+        """Tell which scenarios that ran are audits: drawn at random, and hidden from the search.
 
         Returns
         -------
         ndarray of bool, shape (n,)
+            True for audits.
         """
         return np.array([self.meta.is_audit(row.id) for row in self.finished_rows()], dtype=np.bool_)
 
@@ -409,7 +410,7 @@ class StudyFile:
             return {scenario: decode_reference_outcome(score, packed) for scenario, _, score, packed in stored}
 
     def score_sources(self, metric: str) -> dict[int, str | None]:
-        """Return the entity that the score of each scenario is measured against, in a study of several other entities.
+        """Return the entity that the score of each scenario is measured against, if there are several candidates.
 
         Parameters
         ----------
@@ -419,7 +420,7 @@ class StudyFile:
         -------
         dict of int to (str or None)
             Name of the entity by scenario id; None if the score is not measured against a single entity. Empty if the
-            study has one other entity.
+            study has only one entity besides the ego.
 
         Raises
         ------
@@ -444,7 +445,7 @@ class StudyFile:
             return {row.id: sources[row.id] for row in done}
 
     def scenario_score_sources(self, scenario: int) -> dict[str, str | None]:
-        """Return the entity that each score of one scenario is measured against, in a study of several other entities.
+        """Return the entity that each score of one scenario is measured against, if there are several candidates.
 
         Parameters
         ----------
@@ -455,7 +456,7 @@ class StudyFile:
         -------
         dict of str to (str or None)
             Name of the entity by metric; None if the score is not measured against a single entity. Empty if the study
-            has one other entity, or if the scenario has not run.
+            has only one entity besides the ego, or if the scenario has not run.
         """
         if len(self.meta.others) == 1:
             return {}
@@ -468,15 +469,15 @@ class StudyFile:
             return {name: sources[name] for name in self.meta.metrics if name in sources}
 
     def primary_other(self) -> str:
-        """Choose the most important other entity: outcomes describe this entity, and analyses relate it to the ego.
+        """Choose the most important entity besides the ego; outcomes and analyses relate this entity to the ego.
 
         Returns
         -------
         str
-            The other entity that most scores by the first metric are measured against, in the first round. Later
-            rounds do not count, because they depend on scores and may still grow. In a search without rounds, the first
-            scenarios count, up to the batch size. In a tie, or if no score is measured against a single entity, the
-            first of the other entities.
+            Name of the entity that most scores by the first metric are measured against, in the first round. Later
+            rounds do not count, because scores decide which scenarios are in these rounds. In a search without rounds,
+            the first scenarios count, up to the batch size. In a tie, the study's order of entities decides, also if no
+            score is measured against a single entity.
         """
         others = self.meta.others
         if len(others) == 1:
@@ -754,7 +755,7 @@ class StudyFile:
         )
 
     def features(self, scenarios: Sequence[int | None]) -> FloatArray:
-        """Return the registered features of scenarios: stored features, or else features computed from recordings.
+        """Return all registered features of scenarios, as stored in the study, or else computed from recordings.
 
         Parameters
         ----------
@@ -769,7 +770,7 @@ class StudyFile:
         Raises
         ------
         InputError
-            A scenario has not run, or a group of features of another package fails.
+            A scenario has not run, or features that another package has registered cannot be computed.
         """
         checksum = registered_features_checksum()
         features = np.full((len(scenarios), len(registered_features())), np.nan)
@@ -797,12 +798,12 @@ class StudyFile:
         return self._metrics[1]
 
     def lengths_of_first_recordings(self, before: int) -> list[int]:
-        """Numbers of instants of the first recordings, which decide how coarsely stored series are sampled.
+        """Numbers of instants of the first recordings; they decide how coarsely stored series are sampled.
 
         Parameters
         ----------
         before : int
-            Only recordings of scenarios with a lower id are used.
+            Scenario id; only recordings of scenarios with a lower id are used.
 
         Returns
         -------
@@ -909,13 +910,16 @@ class StudyFile:
         Raises
         ------
         InputError
-            The study has no single score that a threshold could apply to.
+            The study has no single score that a threshold could apply to, or the study is an estimate of probabilities,
+            which hold for the stored threshold only.
         """
         if critical is None:
             return self
         meta = self.meta
         if condition := meta.condition:
-            raise InputError(f"{self.path}: the condition '{condition}' replaces a threshold; leave out `critical`.")
+            raise InputError(
+                f"{self.path}: the condition '{condition}' decides what is critical; leave out `critical`."
+            )
         if meta.pareto:
             raise InputError(f"{self.path}: a Pareto front has no threshold; leave out `critical`.")
         if self.read_estimate() is not None:
@@ -946,8 +950,8 @@ class StudyFile:
         -------
         ndarray of float64, shape (n, 3), or None
             Fraction of critical runs, and lower and upper end of its 90 % interval. If the interval contains 0.5, it is
-            undecided whether the scenario is critical. None if each scenario was run once, or if there is no threshold
-            for a single metric.
+            undecided whether the scenario is critical. None if each scenario was run once, or if the study has no
+            threshold, or if the search was by several metrics at once (weighted sum or Pareto front).
         """
         objective = self.objective
         if objective.criterion is None or objective.weights:
@@ -960,14 +964,14 @@ class StudyFile:
             return critical_run_rates(scores, objective.criterion)
 
     def warm_start_data(self) -> tuple[FloatArray, FloatArray] | None:
-        """Read the points and scores of the earlier study that the search began with.
+        """Read the points and scores of the earlier study that the search began with; None without a warm start.
 
         Returns
         -------
         points : ndarray of float64, shape (n, d)
             In the unit cube of this study's space.
         scores : ndarray of float64, shape (n,)
-            Scores to minimize. Without a warm start, the result is None instead of both arrays.
+            Scores to minimize.
 
         Raises
         ------
@@ -1004,17 +1008,18 @@ class StudyFile:
         name : str
             Aspect of the analysis, by which scenarios were compared.
         *array_names : str
-            Names of the arrays to read, since reading large arrays takes time; all by default.
+            Names of the arrays to read, by default all; reading large arrays takes time.
 
         Returns
         -------
         arrays : dict of str to ndarray, in the shapes that were stored
         info : dict
+            The other values of the result.
 
         Raises
         ------
         InputError
-            The study was not analyzed by this aspect.
+            The study was not analyzed by this aspect, or the analysis has no array of a given name.
         """
         rows = self._database.read_rows("analyses", "name = ?", name)
         if not rows:
@@ -1028,7 +1033,9 @@ class StudyFile:
         query = "SELECT name FROM arrays WHERE analysis = ? AND part = 0 ORDER BY rowid"
         stored = [key for (key,) in self._database.query(query, name)]
         if missing := sorted(set(array_names).difference(stored)):
-            raise InputError(f"{self.path}: its analysis by {name} lacks {', '.join(missing)}; run `analyze` again.")
+            raise InputError(
+                f"{self.path}: its analysis by {name} has no array {', '.join(missing)}; run `analyze` again."
+            )
         with reraise_read_errors(self.path), self.snapshot():
             values = read_arrays(
                 self._database.read_rows, name, list(array_names or stored), sum(self._count_states().values())
@@ -1181,7 +1188,7 @@ class StudyFile:
         folder : path
             Folder for ``scenarios.csv`` and, for each scenario, ``recordings/ID.csv`` and ``courses/ID.csv``.
             ``scenarios.csv`` holds the columns of `table`, with underscores for spaces in their names.
-            ``parameters.csv`` names the recordings, with the parameters of each, as `import_recordings` reads them.
+            ``parameters.csv`` lists the recording file and the parameters of each scenario, for `import_recordings`.
         parquet : bool, default False
             Also write ``scenarios.parquet``, ``recordings.parquet`` and ``courses.parquet`` of all scenarios. The
             column ``scenario`` of the last two is the scenario id.
@@ -1322,8 +1329,8 @@ def open_study(
 ) -> Iterator[StudyFile]:
     """Open the study at a path within the block; if `study` is open already, yield it.
 
-    `critical` replaces the threshold within the block; the file stays as it is. `InputError` if an open study is
-    read-only but has to be written, or if the study has no single score that a threshold could apply to.
+    `critical` replaces the threshold within the block; the file stays as it is. Raises `InputError` if an open study is
+    read-only but has to be written, or if `critical` cannot apply to the study (see `StudyFile.with_critical`).
     """
     threshold = None if critical is None else check_float("critical", critical)
     if isinstance(study, StudyFile):

@@ -40,9 +40,9 @@ class Verification:
     path : Path
         Path of the study.
     problems : tuple of str
-        Part of a sentence for each problem; empty if there is none.
+        Description of each problem, as a part of a sentence; empty if there is no problem.
     checked : bool, default True
-        True if the study has checksums, which each study has.
+        Whether the study has checksums; True, since all studies have checksums.
 
     Examples
     --------
@@ -77,8 +77,8 @@ def verify(study: Path | str) -> Verification:
     Raises
     ------
     InputError
-        There is no such file, the file cannot be opened, or the file is not a study: another program wrote the file,
-        nothing in the file is from cornercase, or its schema version is newer than this version of cornercase.
+        There is no such file, or the file cannot be opened. Or the file is not a study, since another program wrote it
+        or nothing in it is from cornercase. Or a newer version of cornercase wrote the study.
 
     Examples
     --------

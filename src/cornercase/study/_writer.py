@@ -52,12 +52,12 @@ class StudyWriter:
         self._study, self._database = study, database
 
     def check_and_update_meta(self, meta: StudyMeta, *, same_budget: bool = False) -> None:
-        """Check that the study can be continued with the description `meta`, and store what may change.
+        """Check that the study can be continued with the description `meta`, and store the fields that may change.
 
-        These fields may change: the budget, missing constraints of the space, a missing threshold, and requirements,
-        clusters and origin of a suite. With `same_budget` the budget may not change, because the optimizer depends on
-        the budget. If another field differs, `InputError` is raised. But a study in which no scenario has ended is
-        emptied then, and takes over all of `meta`.
+        These fields may change: the budget, and for a suite the requirements, cluster names and origin. Constraints of
+        the parameter space and a threshold are added if the study has none. With `same_budget` the budget may not
+        change, because the optimizer depends on the budget. If another field differs, `InputError` is raised, provided
+        that a scenario has ended. If none has ended, the study is emptied instead, and takes over all of `meta`.
         """
         self._study.require_undamaged()
         try:
@@ -85,9 +85,9 @@ class StudyWriter:
         self._study.meta, self._study.space = updated, updated.space
 
     def save_warm_start(self, points: FloatArray, scores: FloatArray) -> None:
-        """Store points, shape (n, d), and scores to minimize, shape (n,), of the earlier study for a warm start.
+        """Store what a search takes over from an earlier study: points (n, d) and scores to minimize, shape (n,).
 
-        A study that already holds warm-start data is not changed.
+        A study that already holds such data for a warm start is not changed.
         """
         rows = [(point.astype("<f8").tobytes(), score) for point, score in zip(points, scores.tolist(), strict=True)]
         with self._database.transaction() as connection:
@@ -156,10 +156,10 @@ class StudyWriter:
     ) -> None:
         """Store the result of a scenario: its recording, and the course and score of each metric.
 
-        `courses` maps a metric to its course and score. If the study has several other entities, the values must be
-        `MetricResult` objects, which name the entity that the score is measured against. If the scenario was run
-        several times, `repeats` has the scores of all runs, by metric. `references` has the outcomes with reference
-        drivers driving the ego, by driver.
+        `courses` maps a metric to its course and score. If the study has several entities besides the ego, the values
+        must be `MetricResult` objects, which name the entity that the score is measured against. If the scenario was
+        run several times, `repeats` has the scores of all runs, by metric. `references` maps a reference driver to the
+        outcome of the scenario with this driver driving the ego.
         """
         with self._database.transaction() as connection:
             write_reference_outcomes(connection, scenario, references or {})
@@ -246,10 +246,10 @@ class StudyWriter:
             insert_rows(connection, "results", [(number + 1, scenario, last + 1)])
 
     def save_analysis(self, name: str, arrays: Mapping[str, npt.ArrayLike], info: Mapping[str, Any]) -> None:
-        """Store the arrays of a result, and its other values (`info`, as JSON), under a name.
+        """Store a result under a name: its arrays, and its other values (`info`) as JSON.
 
-        An earlier result of this name is replaced. The array ``"distances"`` holds the distances between all scenarios
-        in ``"ids"``: square, symmetric, and 0 on the diagonal.
+        An earlier result of this name is replaced. The array ``"distances"`` holds the distance between any two
+        scenarios in ``"ids"``. This array is square, symmetric, and 0 on the diagonal.
         """
         self.save_analyses({name: (arrays, info)})
 

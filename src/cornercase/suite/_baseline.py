@@ -21,7 +21,8 @@ _MAX_NAME_BYTES: Final = 255
 def find_baseline_study(suite: SuiteContents, against: Path | None) -> tuple[Path | None, str]:
     """Return the study to compare a suite run with, and an empty text; or None, and the reason why there is none.
 
-    If `against` is None, the study that the suite was selected from is searched near the manifest.
+    If `against` is None, the study that the suite was selected from is searched beside the manifest and in the folder
+    above.
     """
     if against is not None:
         with StudyFile.open(against, readonly=True) as study, reraise_read_errors(against):
@@ -63,9 +64,10 @@ def compare_with_baseline(suite: SuiteContents, baseline: Path, study: StudyFile
 
 
 def find_changed_driver(baseline: Path, study: StudyFile) -> tuple[str, str] | None:
-    """Return the ego's drivers in the baseline and in `study` if their names differ; None if not, or if unknown.
+    """Return the ego's drivers in the baseline and in `study` if their names differ.
 
-    Options and versions of a driver do not matter, since a suite is run to compare versions of the same driver.
+    None if the names are equal, or if a driver is unknown. Options and versions of a driver do not matter, since a
+    suite is run to compare versions of the same driver.
     """
     with StudyFile.open(baseline, readonly=True) as earlier, reraise_read_errors(baseline):
         drivers = [meta.ego_driver for meta in (earlier.meta, study.meta)]
@@ -92,20 +94,20 @@ def _match_baseline_rows(suite: SuiteContents, study: StudyFile) -> Mapping[int,
         matches = {k: id_of.get(scenario.file_name) for k, scenario in enumerate(suite.scenarios, start=1)}
         sources = {k: rows[source] for k, source in matches.items() if source in rows}
         if not sources:
-            raise InputError(f"`against` {study.path}: has none of the files of {suite.path}; name another study.")
+            raise InputError(f"`against` {study.path}: contains no scenario file of {suite.path}; name another study.")
         return sources
     if study.meta.fingerprint != suite.fingerprint:
         raise InputError(
-            f"`against` {study.path}: is not the study that {suite.path} was made from; name the one that was reduced,"
-            " or an earlier run of the suite."
+            f"`against` {study.path}: is not the study that {suite.path} was made from; name the study that was"
+            " reduced, or an earlier run of the suite."
         )
     sources = {}
     for k, scenario in enumerate(suite.scenarios, start=1):
         row = rows.get(scenario.source_id or 0)
         if row is None or dict(row.values) != dict(scenario.values):
             raise InputError(
-                f"`against` {study.path}: its scenario {scenario.source_id} is not the one that {suite.path} was made"
-                " from; name the study that was reduced."
+                f"`against` {study.path}: its scenario {scenario.source_id} is missing or has other values than in"
+                f" {suite.path}; name the study that was reduced."
             )
         sources[k] = row
     return sources

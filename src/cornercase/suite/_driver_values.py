@@ -1,4 +1,4 @@
-"""Parameter values of drivers in a suite, such as ``Ego.reaction``, for the drivers of a run."""
+"""Find the values of driver parameters, such as ``Ego.reaction``, for each scenario of a suite."""
 
 from __future__ import annotations
 
@@ -20,8 +20,9 @@ def assign_driver_values(
 ) -> SuiteContents:
     """Return the suite with `driver_values` set: the values in each scenario for parameters of this run's drivers.
 
-    Values of drivers that a scenario file names are in that file. A notice names values that a driver of this run does
-    not take. Raises `InputError` if the simulator takes no parameters of drivers.
+    If the scenario file itself names a driver, the values for this driver are in the file, and are not set here. A
+    notice names values for parameters that a driver of this run does not have. Raises `InputError` if the simulator
+    cannot pass parameters to drivers.
     """
     made = {
         entity: driver_by_name(driver) if isinstance(driver, str) else driver

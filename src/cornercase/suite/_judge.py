@@ -44,9 +44,10 @@ def judge(
     ego : str
         Name of the entity under test.
     other : str or sequence of str
-        Entity that formulas and bounds refer to. If there are several, the requirement is judged against each of them.
-        It is failed if it is failed against any entity, and otherwise passed if it is passed against at least one. Of
-        the verdicts with this state, the one with the smallest robustness is returned, and its reason names the entity.
+        Entity that the requirement relates the ego to. If there are several, the requirement is judged against each of
+        them. It is failed if it is failed against any entity, and otherwise passed if it is passed against at least
+        one. Of the verdicts with this state, the one with the smallest robustness (margin to a violation) is returned,
+        and its reason names the entity.
     courses : mapping of str to ndarray of float64, shape (T,), optional
         Courses (values over time) of metrics by name, if they are known already. If there are several other entities,
         only courses of metrics that do not depend on the other entity are used.
@@ -184,7 +185,10 @@ def judge_scenario(study: StudyFile, row: ScenarioRecord, requirements: list[Req
 
 
 def _stored_faults(study: StudyFile, scenario: int, recording: Recording) -> dict[Collision, Fault]:
-    """Return who is at fault in the collisions of a scenario, as stored after its run, when its roads were known."""
+    """Return who is at fault in the collisions of a scenario, as decided and stored when the scenario was run.
+
+    The roads, which help to decide this, were known at that time; recordings do not contain roads.
+    """
     stored = {(hit.time, hit.entity): hit.fault for hit in study.digest(scenario).outcomes[0].impacts}
     faults = {}
     for collision in recording.collisions:

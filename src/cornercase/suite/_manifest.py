@@ -64,10 +64,10 @@ def _load_manifest_json(path: Path) -> dict[str, Any]:
         ) from error
     if not isinstance(manifest, dict) or not isinstance(manifest.get("scenarios"), list):
         raise InputError(
-            f"{path}: is not a manifest; name the manifest.json that `reduce` wrote, or a folder of files."
+            f"{path}: is not a manifest; name the manifest.json that `reduce` wrote, or a folder of scenario files."
         )
     if manifest.get("simulator") == IMPORTED_SIMULATOR:
-        raise InputError(f"{path}: its recordings were imported, so there are no scenario files to run.")
+        raise InputError(f"{path}: was made from imported recordings, so there are no scenario files to run.")
     if "format" not in manifest:
         raise InputError(
             f"{path}: lacks what is needed to run the scenarios again, because an earlier version of cornercase wrote"

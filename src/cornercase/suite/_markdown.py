@@ -20,7 +20,7 @@ HEADING_START: Final = b"### "
 
 
 def write_markdown_summary(result: SuiteResult, path: Path) -> None:
-    """Write the verdicts on a suite as a Markdown table with one row per scenario, below a summary as heading."""
+    """Write the verdicts on a suite in Markdown: a heading with the summary, and a table with one row per scenario."""
     # With another driver, all recordings differ.
     compared = result.against if result.has_comparable_recordings else None
     head = ["scenario", "kind", "verdict", "why", "" if compared is None else f"against {compared.name}"]

@@ -67,7 +67,8 @@ def analyze_mutants(
         Study that was explored with the builtin simulator. The ego's driver has to be one of cornercase's drivers, or a
         class, FMU or program of yours that has `mutations`.
     mutants : int
-        Number of mutants by which scenarios are selected. The selection is evaluated with as many further mutants.
+        Number of mutants that `cornercase.reduce` selects scenarios by. As many further mutants are run, to evaluate
+        the selection.
     require : sequence of str
         Requirements, as texts for `cornercase.suite.Requirement.parse`; by default ``"no collision"``. A mutant is
         killed if it violates at least one requirement.
@@ -77,8 +78,8 @@ def analyze_mutants(
         Scenario file that was explored; by default it is searched at the path stored in the study, beside the study and
         in the current folder.
     drivers : mapping of str to str or Driver, optional
-        The drivers that the study was explored with. They are needed only if they are your own code, since code that a
-        study names is not run.
+        The drivers that the study was explored with. Give those that are your own code: cornercase loads no code that a
+        study names.
     workers : int, default 1
         Number of processes of a local cluster.
     cluster : str or distributed.Client, optional
@@ -135,7 +136,7 @@ def analyze_mutants(
         if isinstance(item, Mapping):
             raise InputError(
                 f"Mutants cannot be run: the study names the driver {format_driver(item)} for {name}, but code that a"
-                " study names is not run; name it with `drivers`."
+                " study names is not run; name the driver with `drivers`."
             )
     with open_connection(cluster, workers, workers_need_cluster=True) as client:
         failed, killed = run_mutants(
@@ -305,7 +306,7 @@ def _require_fixed_driver(ego: str, concretes: Sequence[ConcreteScenario]) -> No
     for concrete in concretes:
         if others := {*concrete.values} - {*concrete.without_driver_parameters(ego).values}:
             raise InputError(
-                f"Mutants need one driver of {ego}, but {min(others)} varies between the scenarios;"
+                f"Mutants need the same driver of {ego} in all scenarios, but {min(others)} varies;"
                 " leave out the mutants."
             )
 

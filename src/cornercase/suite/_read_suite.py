@@ -42,7 +42,9 @@ def _suite_from_files(folder: Path, files: Sequence[Path]) -> SuiteContents:
         if (
             readable := escape_control_characters(file.name).replace("\n", "\\n").encode(errors="replace").decode()
         ) != file.name:
-            raise InputError(f"{folder}: the name of its file '{readable}' is not plain text; rename the file.")
+            raise InputError(
+                f"{folder}: the file name '{readable}' has control characters or is not UTF-8; rename the file."
+            )
     scenarios, errors = list[ScenarioFile](), dict[Path, InputError]()
     ignored = []
     for file in files:

@@ -63,7 +63,10 @@ class RecordingDifference:
 def compare_recording_pair(
     earlier: Recording, later: Recording, ego: str, scores: Mapping[str, tuple[float, float]] | None = None
 ) -> RecordingDifference:
-    """Compare two recordings of a scenario; the ego's earlier path is interpolated at the times of the later one."""
+    """Compare two recordings of a scenario.
+
+    The ego's positions in the earlier recording are interpolated at the times of the later recording.
+    """
     distances = _ego_distances(earlier, later, ego)
     is_known = np.isfinite(distances)
     exceeding = np.flatnonzero(is_known & (distances > DISTANCE_TOLERANCE))

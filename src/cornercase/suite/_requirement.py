@@ -58,8 +58,9 @@ class Requirement:
         requirement : str
             An expression for `cornercase.metrics.Expression`, such as ``"no collision"``, ``"reach X,Y[,R] within T"``
             in m and s, ``"ttc > 1.5"``, or ``"no collision and eventually(ego.speed < 1)"``. The prefix ``"for PATTERN:
-            "`` limits it to files with matching names, and ``'for kind "PATTERN": '`` to scenarios of matching
-            clusters. ``*`` stands for any characters and ``?`` for one. A pattern with spaces is quoted as in JSON.
+            "`` limits the requirement to files with matching names, and ``'for kind "PATTERN": '`` to scenarios of
+            matching clusters. ``*`` stands for any characters and ``?`` for one. A pattern with spaces is quoted as in
+            JSON.
 
         Returns
         -------
@@ -68,7 +69,7 @@ class Requirement:
         Raises
         ------
         InputError
-            The text is not a requirement, a unit does not fit, or it names an unknown metric.
+            The text is not a requirement, a unit does not fit, or the text names an unknown metric.
 
         Examples
         --------
@@ -115,7 +116,7 @@ class Requirement:
 
 
 def parse_requirement_from(source: str, text: str) -> Requirement:
-    """Parse a requirement that comes from a file; an error message begins with `source` instead of the argument."""
+    """Parse a requirement from a file; an error message begins with `source` instead of naming an argument."""
     try:
         return Requirement.parse(text)
     except InputError as error:
@@ -137,5 +138,5 @@ def _unquote_pattern(pattern: str, requirement: str) -> str:
     except ValueError:
         text_ = ""
     if not text_.strip():
-        raise InputError(f"`require` {requirement}: {pattern} is not a pattern of names; quote it as in JSON.")
+        raise InputError(f"`require` {requirement}: the pattern {pattern} is empty or not quoted as in JSON.")
     return text_

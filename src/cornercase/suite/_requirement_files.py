@@ -94,7 +94,7 @@ def requirements_from_runner_criteria(suite: SuiteContents) -> list[Requirement]
         note = f" (not used: {', '.join(ignored)}; {reason})" if ignored else ""
         raise InputError(
             f"`require_from_file`: {suite.folder} has none of ScenarioRunner's criteria that can be used as"
-            f" requirements, which are {', '.join(_REQUIREMENT_TEMPLATES)}{note}; give requirements with `require`."
+            f" requirements; usable are {', '.join(_REQUIREMENT_TEMPLATES)}{note}; give requirements with `require`."
         )
     if ignored:
         issue_notice_warning(

@@ -101,7 +101,7 @@ def _has_random_sensors(suite: SuiteContents, simulator: Simulator) -> bool:
 
 
 def _warn_about_ignored_content(suite: SuiteContents, simulator: Simulator, ego: str) -> None:
-    """Warn about content of the scenario files that has no effect in the simulator, and if no driver drives the ego."""
+    """Warn about content of the scenario files that the simulator ignores; also warn if no driver drives the ego."""
     warn_notices(
         deduplicate_notices(
             notice
@@ -164,7 +164,10 @@ def run_reference_drivers(
     requirements: Sequence[Requirement],
     simulators_by_driver: Mapping[str, Simulator],
 ) -> None:
-    """Run scenarios with the reference drivers that their verdicts depend on; store outcomes that the study lacks."""
+    """Run scenarios with reference drivers where a verdict depends on this, and store the outcomes.
+
+    Outcomes that the study has already are not computed again.
+    """
     ego, others = study.meta.ego, study.meta.others
     for name, simulator in simulators_by_driver.items():
         applicable = [item for item in requirements if name in item.expression.reference_drivers]

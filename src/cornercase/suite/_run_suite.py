@@ -100,28 +100,30 @@ def run_suite(
     requirements : path, optional
         TOML or YAML file with further requirements.
     require_from_file : bool, default False
-        Use the criteria for CARLA's ScenarioRunner in the files as requirements. A notice names criteria that a
-        recording cannot decide.
+        Make requirements from the criteria for CARLA's ScenarioRunner that the scenario files contain. A notice names
+        criteria that a recording cannot decide.
     against : path, optional
         Study with earlier recordings: the study that was reduced, or an earlier run of the suite. By default the study
         that was reduced, if it is beside the manifest or in the folder above.
     junit : path, optional
-        JUnit file to write. A JUnit file of an earlier run is removed before anything is run; any other file is an
-        error.
+        JUnit file to write. A JUnit file of an earlier run is removed before anything is run; any other file at this
+        path raises `InputError`.
     summary : path, optional
-        Markdown file to write. A file of an earlier run is removed before anything is run; any other file is an error.
+        Markdown file to write. A file of an earlier run is removed before anything is run; any other file at this path
+        raises `InputError`.
     mutants : int, optional
-        Number of mutants of the ego's driver to run the scenarios with, in the builtin simulator, to count how many are
-        killed. A scenario kills a mutant if the mutant violates a requirement that the original driver fulfills;
-        without requirements, this is ``"no collision"``. Runs of mutants are not stored.
+        Number of mutants (faulty variants) of the ego's driver. The builtin simulator runs the scenarios with each
+        mutant, to count how many mutants are killed. A scenario kills a mutant if the mutant violates a requirement
+        that the original driver fulfills. If there are no requirements, ``"no collision"`` is required. Runs of mutants
+        are not stored.
     seed : int, default 0
         The same seed gives the same mutants; see `cornercase.drivers.generate_mutants`.
     progress : bool, default False
         Show progress on standard error.
     **options
-        Settings that replace those of the manifest, and how the scenarios are run: any of the parameters below. Without
-        a manifest, metrics are those in the requirements or ``clearance``, and the simulator is the builtin one with
-        its default settings.
+        Any of the parameters below. They replace settings of the manifest, or say how the scenarios are run. Without a
+        manifest, the metrics are those that the requirements contain, or else ``clearance``, and the simulator is the
+        builtin one with its default settings.
 
     Returns
     -------
@@ -250,7 +252,9 @@ def _require_own_output(name: str, path: Path, first_bytes: bytes) -> None:
         with path.open("rb") as file:
             content = file.read(len(first_bytes))
         if content and content != first_bytes:
-            raise InputError(f"`{name}` {path}: exists and has other content; choose another name, or remove it.")
+            raise InputError(
+                f"`{name}` {path}: exists and is not from an earlier run; choose another name, or remove the file."
+            )
 
 
 def _parse_requirements(
@@ -279,7 +283,7 @@ def _resolve_entities(
     """Return the suite with an error on each scenario that lacks an entity, and the names of the ego and the others."""
     for role, given, own in (("ego", ego, suite.ego), ("other", other, suite.other)):
         if given is None and not own:
-            raise InputError(f"`{role}`: {suite.path} does not define it; name an entity.")
+            raise InputError(f"`{role}`: {suite.path} does not say which entity this is; name an entity.")
     ego_name = suite.ego if ego is None else check_str("ego", ego)
     suite = _mark_lacking_entity(suite, {})
     names = dict.fromkeys(name for item in suite.runnable_scenarios for name in item.scenario.entities)
@@ -340,8 +344,8 @@ def _choose_metrics(
     unknown = [name for name in names if name.partition(":")[0] not in METRICS]
     if unknown and not requested:
         raise InputError(
-            f"`metrics`: {suite.path} names the metric '{unknown[0][:100]}', which is none of cornercase; code that a"
-            " file names is not run, so give the metrics again, your own as an object."
+            f"`metrics`: {suite.path} names the metric '{unknown[0][:100]}', which cornercase does not have; code that"
+            " a file names is not run, so give all metrics again, and your own metric as an object."
         )
     required = [name for requirement in requirements for name in requirement.expression.metrics]
     instances = resolve_metrics(requested or names or required or "clearance")
@@ -361,7 +365,7 @@ def _choose_simulator(suite: SuiteContents, requested: str | Simulator | None) -
     # Options may name files and programs; the manifest may come from anywhere.
     if colon:
         raise InputError(
-            f"`simulator`: {suite.path} names '{suite.simulator[:100]}', whose options could run programs; give"
+            f"`simulator`: {suite.path} names '{suite.simulator[:100]}', and these options could run programs; give"
             " `simulator` yourself."
         )
     return name or "builtin"

@@ -22,12 +22,12 @@ DEFAULT_SETTINGS: Final[dict[str, Any]] = {
 
 @dataclass(frozen=True)
 class SuiteScenario:
-    """A scenario of a suite; `values` distinguish it from the other scenarios.
+    """A scenario of a suite; its parameter `values` distinguish it from the other scenarios.
 
     `cluster_name`, `role` and `selection_reason` come from the manifest; they are empty if unknown. `source_id` is the
     id in the study that the scenario was selected from, and `seed` is the seed of that study. `error` says why the file
-    cannot be run; it is empty if the file can be run. `driver_values` are the entries of `values` that are passed to
-    the drivers of a run, since the file does not contain them.
+    cannot be run; it is empty if the file can be run. `driver_values` are those of `values` that the scenario file does
+    not contain; they are passed to the drivers of a run.
     """
 
     file_name: str
@@ -71,7 +71,7 @@ class SuiteContents:
 
     `path` is the manifest or the folder. `study` and `fingerprint` identify the study that the scenarios were selected
     from. `custom_drivers` maps an entity to the name that its driver had in the command, if the driver was the user's
-    own code. The manifest does not load such a driver, so the user has to give the driver again.
+    own code. Code that a manifest names is not loaded, so the user has to give such a driver again.
     """
 
     path: Path

@@ -48,8 +48,8 @@ class ScenarioResult:
     difference : RecordingDifference or None
         Difference from the earlier recording; None if there is no earlier recording.
     others : mapping of str to str
-        If there are several other entities: the entity that the score of each metric is measured against. Metrics that
-        are not measured against a single entity are left out.
+        If there are several entities besides the ego: the entity that the score of each metric is measured against.
+        Metrics that are not measured against a single entity are left out.
 
     Examples
     --------
@@ -192,7 +192,7 @@ class SuiteResult:
 
     @property
     def has_comparable_recordings(self) -> bool:
-        """True if recordings were compared with earlier recordings of the same driver, which should be equal."""
+        """True if recordings were compared with earlier ones, and should be equal as the ego's driver is the same."""
         return self.against is not None and self.changed_driver is None
 
     def table(self) -> pd.DataFrame:
@@ -202,7 +202,7 @@ class SuiteResult:
         -------
         DataFrame
             One row per scenario, indexed by its id in the study of the suite: ``file``, ``state``, ``reason``, ``kind``
-            (the cluster that it represents), ``duration`` in s, and the score by each metric.
+            (the cluster that the scenario represents), ``duration`` in s, and the score by each metric.
         """
         import pandas as pd
 

@@ -1,9 +1,9 @@
-"""Lock a damaged study until it has been replaced, and check that it is still the file that was read.
+"""Lock a damaged study until it has been replaced, and check that the file is still the one that was read.
 
-Nothing is written into the damaged file, not even a lease (the row that names the writing process): if pages are mixed
-up, writing could destroy the rest. Processes that take a lease or write a note need SQLite's write lock, so this lock
-is held; it ends with this process. Programs that copy or rename a file over the study need no lock, so the file is
-compared with the file that was read.
+Nothing is written into the damaged file, not even a lease (the row that names the writing process): if the pages of the
+file are mixed up, writing could destroy the rest. Instead, SQLite's write lock is held: other processes need this lock
+to take a lease or to write a note. The lock ends with this process at the latest. Programs that copy or rename a file
+over the study need no lock, so the file is compared with its state when it was read.
 """
 
 from __future__ import annotations
@@ -46,8 +46,9 @@ class _FileState:
 class DamagedFileLock:
     """Lock of a damaged study, with a check that the file has not changed since it was read.
 
-    Create the object before the file is read: state and SHA-256 of the file are noted then. `lock` acquires SQLite's
-    write lock, which ends when the file has been replaced. `path` must not be a symbolic link.
+    Create the object before the file is read: the object notes the state and the SHA-256 of the file. `lock` acquires
+    SQLite's write lock; `release` or the end of the ``with`` block releases the lock. `path` must not be a symbolic
+    link.
     """
 
     def __init__(self, path: Path) -> None:
@@ -71,7 +72,11 @@ class DamagedFileLock:
         self.release()
 
     def lock(self) -> None:
-        """Acquire SQLite's write lock, so that no other process can write."""
+        """Acquire SQLite's write lock, so that no other process can write.
+
+        If SQLite cannot even read the damaged file, there is no lock, but other processes cannot write to the file
+        either.
+        """
         try:
             # The last connection that closes a file removes the log of that name, which may belong to another file
             # by then. A read-only connection cannot, so it is closed last.
@@ -91,7 +96,7 @@ class DamagedFileLock:
         self._raise_if_changed(self._read_file_states() == self._initial_states)
 
     def require_unchanged(self) -> None:
-        """Raise `InputError` if the file has changed since it was read: the changes would be lost with the file."""
+        """Raise `InputError` if the file has changed since it was read: replacing the file would lose these changes."""
         # Closing a handle would release SQLite's lock.
         self._raise_if_changed(
             self._read_file_states() == self._initial_states
@@ -133,15 +138,15 @@ class DamagedFileLock:
             connection.execute("SELECT count(*) FROM sqlite_master").fetchall()
 
     def _read_file_states(self) -> tuple[_FileState | None, _FileState | None]:
-        """Return the states of the file and SQLite's log.
+        """Return the state of the damaged file, and the state of SQLite's log beside the file; None for a missing file.
 
-        An empty log counts as no log, since SQLite adds and removes it at any time.
+        An empty log counts as missing, since SQLite may add or remove an empty log at any time.
         """
         log = _FileState.from_path(self._log_path)
         return _FileState.from_path(self._path), log if log is not None and log.size else None
 
     def _hash_files(self, handles: ExitStack) -> list[bytes]:
-        """Return the SHA-256 of the file and SQLite's log."""
+        """Return the SHA-256 of the damaged file and, if it existed, of SQLite's log; `handles` keeps both open."""
         digests = []
         for path, state in zip((self._path, self._log_path), self._initial_states, strict=True):
             if state is not None:
@@ -160,5 +165,5 @@ class DamagedFileLock:
             change = "was written to"
         raise InputError(
             f"{self._path}: {change} during the repair, so nothing was replaced; check the current file with"
-            " `verify`, and repair it again if that is damaged."
+            " `verify`, and if the file is damaged, repair it again."
         )

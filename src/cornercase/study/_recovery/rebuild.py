@@ -30,10 +30,10 @@ _SCENARIO_TABLES = ("courses", "repeats", "against")
 class RecoveredStudy:
     """Description of the recovered and of the lost content of a damaged study.
 
-    `rounds` maps scenario ids to rounds, 0 if unknown. `to_rerun` are the ids of scenarios that have to be run again.
-    `lost` describes in words the content that no run of a scenario can restore. `checksum_totals` maps a table to its
-    row count and XOR of checksums, if these are known. `is_count_known` is True if the original number of scenarios is
-    known.
+    `rounds` maps the id of each scenario to its round, 0 if unknown. `to_rerun` are the ids of scenarios that have to
+    be run again. `lost` describes in words the content that no run of a scenario can restore. `checksum_totals` maps a
+    table to its row count and XOR of checksums, if these are known. `is_count_known` is True if the original number of
+    scenarios is known.
     """
 
     meta: StudyMeta
@@ -45,10 +45,10 @@ class RecoveredStudy:
 
 
 def rebuild_study(damaged: Path, output: Path) -> RecoveredStudy:
-    """Create a study at `output` from the intact rows of the study at `damaged`, which is only read.
+    """Create a study at `output` from the intact rows of the study at `damaged`; the damaged file stays as it is.
 
-    Scenarios that have to be run again are pending in the new study. `InputError` if the description of the study is
-    lost.
+    Scenarios that have to be run again are pending (not run yet) in the new study. Raises `InputError` if the
+    description of the damaged study is lost.
     """
     require_single_hard_link(damaged)
     rows = recover_rows(damaged)
@@ -99,8 +99,8 @@ def rebuild_study(damaged: Path, output: Path) -> RecoveredStudy:
 def _recover_checksum_totals(damaged: Path, rows_by_table: dict[str, RowsByKey]) -> dict[str, tuple[int, int]]:
     """Return row count and XOR of checksums of each table for which they are known.
 
-    Both are known if they were stored, or if all pages of the table are intact. The rows of an intact table replace its
-    recovered rows in `rows_by_table`, since recovered rows may include deleted rows.
+    Both values are known if they were stored, or if all pages of the table are intact. In `rows_by_table`, the rows
+    that SQLite reads from an intact table replace the recovered rows, which may include deleted rows.
     """
     tallies = {str(name): (int(rows), int(sums)) for name, rows, sums in rows_by_table["tallies"].values()}
     intact = set()
@@ -128,7 +128,7 @@ def _compute_checksum_totals(table: str, rows: RowsByKey) -> tuple[int, int]:
 
 
 def _recover_rounds(rows_by_table: dict[str, RowsByKey], checksum_totals: dict[str, tuple[int, int]]) -> dict[int, int]:
-    """Return the round of each scenario that the study had, by id."""
+    """Return the round of each scenario by id, also for scenarios whose row is lost: these have the round 0."""
     rounds = {int(row[0]): int(row[1]) for row in rows_by_table["scenarios"].values()}
     last = checksum_totals["scenarios"][0] if "scenarios" in checksum_totals else 0
     last = max([last, *rounds, *(int(row[0]) for name in _SCENARIO_TABLES for row in rows_by_table[name].values())])

@@ -70,7 +70,7 @@ def open_pages(path: Path) -> Iterator[PageReader]:
 
 
 def recover_rows(path: Path) -> dict[str, RowsByKey]:
-    """Return the intact rows of a study by table and key, in the order of each table."""
+    """Return the intact rows of a study: for each table, the rows by key, sorted as in the table."""
     # Rows that SQLite reads override others, which may be remains of deleted rows.
     tables, order = _group_rows_by_key(chain(_scan_pages(path), _iter_rows_with_sqlite(path)))
     return {name: dict(sorted(rows.items(), key=lambda item: order[name][item[0]])) for name, rows in tables.items()}
@@ -105,7 +105,7 @@ def _iter_checked_rows(connection: sqlite3.Connection, table: str) -> Iterator[t
 def _iter_table_rows(
     connection: sqlite3.Connection, table: str, order_suffix: str = ""
 ) -> Iterator[tuple[int | None, Any]]:
-    """Yield row number and values of each row of a table, sorted by key."""
+    """Yield number and values of each row of a table, sorted by key; the number is None for tables without numbers."""
     numbered = table in _ROWID_TABLES
     keys = ("rowid",) if numbered else TABLES[table].columns[: TABLES[table].n_key_columns]
     columns = ", ".join(("rowid", *TABLES[table].stored_columns) if numbered else TABLES[table].stored_columns)
@@ -115,7 +115,7 @@ def _iter_table_rows(
 
 
 def _group_rows_by_key(stored_rows: Iterable[StoredRow]) -> tuple[dict[str, RowsByKey], dict[str, dict[Any, Any]]]:
-    """Group rows by table and key; also return the value to sort each row by, by table and key."""
+    """Group rows by table and key; the second result has the sort key of each row, also by table and key."""
     tables: dict[str, RowsByKey] = {name: {} for name in TABLES}
     order: dict[str, dict[Any, Any]] = {name: {} for name in TABLES}
     for table, number, values in stored_rows:

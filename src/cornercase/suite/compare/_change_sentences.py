@@ -201,7 +201,10 @@ def _list_kinds(kinds: Sequence[ClusterChange], old: str) -> str:
 
 
 def _describe_new_endings(kind: ClusterChange) -> str:
-    """Return as text how the scenarios of a cluster end now, if some end in a new way and its name may be outdated."""
+    """Return as text how the scenarios of a cluster end now, if some end in a way that is new in this cluster.
+
+    The name of the cluster may be outdated then. Otherwise the text is empty.
+    """
     if not kind.new or set(kind.new_outcomes) <= set(kind.old_outcomes):
         return ""
     return f" (now: {format_outcomes(kind.new_outcomes)})"

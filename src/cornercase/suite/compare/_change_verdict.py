@@ -79,8 +79,9 @@ def find_findings(
     """Return three groups of findings: worse with the new version, better, and changed within the tolerances only.
 
     If both simulators are deterministic, each pair of runs that differs shows a change. Otherwise only significant
-    tests count, if more scenarios changed in the direction of the test than in the other direction, by more than the
-    tolerance. Significant tests of unpaired scenarios count in both cases. The most important findings come first.
+    tests count. Such a test also needs confirmation: of the scenarios that changed by more than the tolerance, more
+    must have changed in the direction of the test than in the other direction. Significant tests of unpaired scenarios
+    count in both cases; a shift of scores must then exceed the tolerance. The most important findings come first.
     """
     steps = [
         step

@@ -30,9 +30,9 @@ def choose_examples(
 
     Changes are ranked by kind: first verdicts and runs that failed with one version only, then collisions, outcomes,
     criticality, and scores. Within a kind, changes for the worse come first. Among changes of equal rank, the largest
-    is chosen first. After that, only changes at least half as large count, and the farthest from the chosen examples
-    comes next. The size of a score's change is relative to the spread of the old scores. `objective_metric` is the
-    metric that defines criticality; it is empty if several do.
+    is chosen first. From those at least half as large, the scenario whose parameters differ most from the examples so
+    far is chosen next, and so on. The size of a score's change is relative to the spread of the old scores.
+    `objective_metric` is the metric that defines criticality; it is empty if several do.
     """
     spreads = _old_score_spreads(pairs, metrics)
     tiers: dict[_ChangeTier, list[tuple[float, ScenarioPair, str]]] = {}
@@ -60,7 +60,7 @@ def choose_examples(
 
 
 def _distance_to_chosen(pair: ScenarioPair, chosen: Sequence[Example]) -> float:
-    """Return the RMS difference of parameters, in the unit cube, to the nearest of the chosen examples, else inf."""
+    """Return the RMS difference of parameters, in the unit cube, to the nearest chosen example; inf without any."""
     point = np.array(pair.point)
     return min(
         (float(np.sqrt(np.mean((point - np.array(example.pair.point)) ** 2))) for example in chosen), default=np.inf

@@ -92,8 +92,8 @@ def compare(
     -------
     Comparison
         `verdict` says whether the new version is better, worse, mixed or the same, or that the data do not allow a
-        verdict. As a bool, the result is True if the versions differ at all. If simulators are not deterministic, the
-        false positive rate of better or worse is at most 5 %, for all tests together.
+        verdict. As a bool, the result is True if the versions differ at all. If simulators are not deterministic, equal
+        versions are called better or worse with a probability of at most 5 %, for all tests together.
 
     Raises
     ------
@@ -187,7 +187,7 @@ def _require_complete_suite(study: StudyFile) -> None:
     if study.meta.suite and n_pending:
         raise InputError(
             f"{study.path}: {n_pending} of its {study.meta.budget} scenarios have not been run yet; run `test` again"
-            " to complete it."
+            " to complete the run."
         )
 
 
@@ -228,7 +228,8 @@ def _run_significance_tests(
     """Run all significance tests, and correct the p-values for the number of tests.
 
     If runs are deterministic, all pairs are tested, otherwise only pairs that were chosen independently of scores. If
-    there are too few of the latter, the space-filling scenarios of both studies are tested as unpaired samples, too.
+    there are too few pairs of the latter kind, unpaired samples are tested, too: the scenarios of each study that were
+    chosen independently of scores, to fill the parameter space evenly or at random.
     """
     tested = [pair for pair in pairs if deterministic or pair.is_score_independent]
     tests_ = test_pairs(tested, metrics) if any(pair.run != "in neither" for pair in tested) else []
@@ -394,7 +395,7 @@ def _count_cluster_changes(
 def _build_cluster_change(
     cluster: int, label: str, before: Sequence[ScenarioPair], after: Sequence[ScenarioPair]
 ) -> ClusterChange:
-    """Count the outcomes of a cluster's scenarios; `before` are the members with the old version, `after` now."""
+    """Count the outcomes in a cluster; its scenarios are `before` with the old version, `after` with the new one."""
     outcomes = [
         dict(sorted(Counter(pair.outcomes[side] for pair in members).items(), key=lambda item: (-item[1], item[0])))
         for side, members in enumerate((before, after))
