@@ -360,7 +360,7 @@ def test_a_threshold_is_not_said_to_help_where_different_metrics_say_what_is_cri
     old = written(tmp_path / "old.db", GAPS, metrics=("distance", "ttc"))
     new = written(tmp_path / "new.db", GAPS, metrics=("ttc", "distance"))
     for options in ({}, {"threshold": 2.0}):
-        with pytest.raises(InputError, match=r"call scenarios critical by different metrics \(distance; ttc\)"):
+        with pytest.raises(InputError, match=r"by different metrics which scenarios are critical \(distance; ttc\)"):
             compared(old, new, metrics=["distance"], **options)
 
 
@@ -410,7 +410,7 @@ def test_metrics_are_chosen_by_name(tmp_path):
     old = written(tmp_path / "old.db", GAPS, metrics=("distance", "ttc"))
     new = written(tmp_path / "new.db", GAPS, metrics=("distance", "wttc"))
     assert [one.metric for one in compared(old, new, metrics="distance").scores] == ["distance"]
-    with pytest.raises(InputError, match="`metrics` ttc: is not in both studies; both have distance"):
+    with pytest.raises(InputError, match="`metrics` ttc: is not in both studies; metrics in both: distance"):
         compared(old, new, metrics=["ttc"])
     assert ran("compare", old, new, "--metric", "distance").exit_code == 0
 

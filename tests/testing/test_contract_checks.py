@@ -182,7 +182,7 @@ class Stores(Cruise):
 @pytest.mark.parametrize(
     ("system", "name", "words"),
     [
-        (Random(), "repeats itself", "differs from 0.05 s on"),
+        (Random(), "repeats itself", "differs, first at 0.05 s"),
         pytest.param(Clock(), "repeats itself", "differs", marks=pytest.mark.slow),
         pytest.param(KeepsState(), "gives the same alone and among other scenarios", "differs", marks=pytest.mark.slow),
         (SeesOthers(), "gives the same alone and among other scenarios", "Alone, a scenario differs"),
@@ -347,12 +347,14 @@ class Forgets(cc.Optimizer):
 def test_a_search_that_one_scenario_ends_is_found_with_a_way_out():
     name = "runs on after a scenario that cannot be run"
     (found,) = problems([check for check in simulator_checks(Alone()) if check.name == name]).values()
-    assert found.startswith("It raises InputError, which ends the whole search, for one scenario")
-    assert "yield a SimulationError for that one instead" in found
+    assert found.startswith("If a number in one scenario is 'nonsense', the simulator raises InputError")
+    assert "yield a SimulationError for this scenario instead" in found
 
 
 def test_a_class_is_no_simulator_that_could_be_checked():
-    with pytest.raises(cc.InputError, match=r"Alone: is a class; give its name, or an object, as Alone\(\)"):
+    with pytest.raises(
+        cc.InputError, match=r"Alone: is a class; give the simulator's name, or an object, as in Alone\(\)"
+    ):
         simulator_checks(Alone)  # type: ignore[arg-type]
 
 

@@ -51,7 +51,7 @@ class AgentMotion:
 
 
 def measure_agent_motion(recording: Recording) -> AgentMotion:
-    """Measure the motion of the ego in a scenario for agents, in which the ego drives along the x axis."""
+    """Measure the motion of the ego in a small scenario for agents, on a road along the x axis."""
     e = recording.entity_index(_EGO)
     centers_x, centers_y = box_centers(recording)
     gaps = _measure_gaps_to_van(recording, centers_x, centers_y)
@@ -120,9 +120,9 @@ def _iter_problems(motion: AgentMotion, end: float, duration: float) -> Iterator
 
 
 def _measure_gaps_to_van(recording: Recording, centers_x: FloatArray, centers_y: FloatArray) -> FloatArray | None:
-    """Return the gap in m between the ego's front and the van's rear at each instant; None without a van.
+    """Return the gap in m between the ego's front and the rear of the van ahead, at each instant; None without a van.
 
-    The gap is infinite while the ego is beside or beyond the van.
+    The van is the only other entity. The gap is infinite while the ego is laterally beside the van, or past it.
     """
     others = [k for k, name in enumerate(recording.names) if name != _EGO]
     if not others:

@@ -89,13 +89,13 @@ class Cases:
         Parameters
         ----------
         simulator : str or Simulator, default "builtin"
-            Name or object. An object runs in this process, unless `options` are given.
+            Simulator, or its name. Without `options`, a simulator object runs in this process and ignores `workers`.
         rows : sequence of int, optional
             Indices of the scenarios to run, in this order; by default all scenarios.
         workers : int, default 1
             Number of worker processes.
         **options
-            Options of the simulator.
+            Options of the simulator, such as ``duration=1.0``.
 
         Returns
         -------
@@ -126,13 +126,13 @@ class Cases:
         Parameters
         ----------
         simulator : str or Simulator, default "builtin"
-            Name or object. An object runs in this process, unless `options` are given.
+            Simulator, or its name. Without `options`, a simulator object runs in this process and ignores `workers`.
         rows : sequence of int, optional
             Indices of the scenarios to run, in this order; by default all scenarios.
         workers : int, default 1
             Number of worker processes.
         **options
-            Options of the simulator.
+            Options of the simulator, such as ``duration=1.0``.
 
         Returns
         -------
@@ -154,13 +154,13 @@ class Cases:
         Parameters
         ----------
         simulator : str or Simulator, default "builtin"
-            Name or object. An object runs in this process, unless `options` are given.
+            Simulator, or its name. Without `options`, a simulator object runs in this process and ignores `workers`.
         rows : sequence of int, optional
             Indices of the scenarios to run, in this order; by default all scenarios.
         workers : int, default 1
             Number of worker processes.
         **options
-            Options of the simulator.
+            Options of the simulator, such as ``duration=1.0``.
 
         Yields
         ------
@@ -198,10 +198,10 @@ def write_cases_without_events(folder: Path) -> list[Cases]:
 
 
 def write_cases_without_drivers(folder: Path) -> list[Cases]:
-    """Return the default scenarios without drivers, two of each file; write the changed files to a folder.
+    """Return two of each of the default scenarios, without drivers; write scenario files without drivers to a folder.
 
-    The storyboard alone moves all entities. These scenarios are for simulators that are slow, and whose own drivers
-    differ from run to run.
+    The storyboard alone moves all entities. These scenarios are for simulators that are not deterministic: they are
+    often slow, and their own drivers would act differently in each run.
     """
     x_intersection = examples_folder() / "x_intersection" / "x_intersection.xosc"
     deceleration = examples_folder() / "r157" / "deceleration.xosc"
@@ -215,14 +215,14 @@ def write_cases_without_drivers(folder: Path) -> list[Cases]:
 
 
 def write_cases_without_limits(folder: Path) -> Cases:
-    """Return scenarios in which a car cuts in, without speed and acceleration limits; write the file to a folder."""
+    """Return scenarios of a cut-in whose vehicles have no speed and acceleration limits; write the file to a folder."""
     return _choose_cases_from_file(
         _copy_without_elements(examples_folder() / "r157" / "cut_in.xosc", folder, "Performance"), ["gap=10:40"]
     )
 
 
 def _copy_without_elements(original: Path, folder: Path, tag: str) -> Path:
-    """Copy a scenario file without all XML elements `tag`, and its road, to a folder; return the path of the copy."""
+    """Copy a scenario file and its road to a folder, without XML elements `tag`; return the path of the file copy."""
     tree = etree.parse(original)
     for element in [*tree.iter(tag)]:
         parent = element.getparent()
@@ -236,7 +236,7 @@ def _copy_without_elements(original: Path, folder: Path, tag: str) -> Path:
 
 
 def _ignore_notice(sentence: str) -> None:
-    """Do nothing."""
+    """Ignore a notice of a simulator."""
 
 
 def _choose_cases_from_file(path: Path, ranges: Sequence[str], space: Path | None = None) -> Cases:

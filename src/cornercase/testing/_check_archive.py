@@ -35,7 +35,10 @@ def write_check_archive(
     runs: Sequence[SmallRun],
     crashes: Sequence[SimulatorCrashResult],
 ) -> None:
-    """Write a ZIP file with a simulator's check results, the small scenarios, and recordings of both simulators."""
+    """Write a ZIP file with a simulator's check results, the small scenarios, and their recordings.
+
+    The recordings are those of the checked simulator and, for comparison, of the builtin simulator.
+    """
     proof = _make_archive_summary(simulator, results, runs, crashes)
     with atomic_write(path) as temporary, ZipFile(temporary, "w", ZIP_DEFLATED) as archive:
         archive.writestr("summary.txt", _format_archive_summary(proof))
@@ -107,7 +110,7 @@ def _make_archive_summary(
 def _read_settings_and_versions(simulator: str | Simulator) -> tuple[Mapping[str, object], Mapping[str, str]]:
     """Return a simulator's settings that recordings depend on, and versions of its programs.
 
-    Both are empty if something is not installed.
+    Both are empty if the simulator cannot be created, for example because a program is not installed.
     """
     try:
         created = SIMULATORS.create(simulator) if isinstance(simulator, str) else simulator

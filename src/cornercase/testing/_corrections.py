@@ -1,4 +1,4 @@
-"""Corrections of a recording; each undoes a usual mistake of a simulator or of its adapter."""
+"""Corrections of a recording; each undoes a common mistake of a simulator, or of the code that connects it."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def box_centers(recording: Recording) -> tuple[FloatArray, FloatArray]:
 
 
 def iter_corrections(own: Recording, expected: Recording) -> Iterator[tuple[str, Recording]]:
-    """Yield possible mistakes in a recording, as clauses, each with the recording after correction of the mistake."""
+    """Yield possible mistakes in the recording `own`, each as a clause and with the corrected recording."""
     if own.collisions != expected.collisions:
         verb = "lost" if len(own.collisions) < len(expected.collisions) else "invented or at another time"
         yield f"collisions are {verb}", replace(own, collisions=expected.collisions)
@@ -62,7 +62,7 @@ def _correct_drift(own: Recording, drift: float) -> Recording:
 
 
 def _measure_drift_error(own: Recording, expected: Recording, drift: float) -> float:
-    """Return the largest distance in m of an entity from its expected position, after correction of a clock drift."""
+    """Return the largest distance in m between own and expected positions, after correction of a clock `drift`."""
     time = own.time / (1.0 + drift)
     at = expected.time[expected.time <= time[-1]]
     rows = [own.entity_index(name) for name in expected.names]
@@ -74,7 +74,7 @@ def _measure_drift_error(own: Recording, expected: Recording, drift: float) -> f
 
 
 def _without_repeated_end(own: Recording) -> Recording:
-    """Return the recording without the last frames, in which no entity moves any more."""
+    """Return the recording without the last instants, at which no entity moves any more."""
     moves = np.flatnonzero((np.abs(np.diff(own.x)) + np.abs(np.diff(own.y)) > _SAME_POSITION).any(axis=0))
     count = int(moves[-1]) + 2 if moves.size else len(own.time)
     return replace(own, time=own.time[:count], **{name: getattr(own, name)[:, :count] for name in _ARRAYS})
@@ -89,7 +89,7 @@ def _iter_time_shift_corrections(own: Recording) -> Iterator[tuple[str, Recordin
 
 
 def _iter_reference_point_corrections(own: Recording, expected: Recording) -> Iterator[tuple[str, Recording]]:
-    """Yield the recording with each entity shifted along its heading, by the estimated error of its reference point."""
+    """Yield the recording with each entity moved along its heading, by the estimated error of its reference point."""
     rows = [own.entity_index(name) for name in expected.names]
     shifts, offsets = np.zeros(len(own.names)), np.zeros(len(own.names))
     (x, y), (expected_x, expected_y) = box_centers(own), box_centers(expected)
@@ -113,7 +113,7 @@ def _iter_reference_point_corrections(own: Recording, expected: Recording) -> It
 
 
 def _iter_speed_change_corrections(own: Recording, expected: Recording) -> Iterator[tuple[str, Recording]]:
-    """Yield, for each entity that wrongly keeps its first speed, the recording with its expected motion."""
+    """Yield the recording with the expected motion of an entity, for each entity that wrongly keeps its first speed."""
     for name in expected.names:
         row, e = own.entity_index(name), expected.entity_index(name)
         changes = np.ptp(expected.speed[e])

@@ -1,4 +1,4 @@
-"""Crash of a simulator on purpose while it runs scenarios."""
+"""Kill a simulator on purpose while it runs scenarios, to check that later scenarios run."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _DEATH_TIMEOUT: Final = 5.0
 
 @dataclass(frozen=True)
 class SimulatorCrashResult:
-    """Results of runs of the same scenario, while the simulator was killed once."""
+    """Results of several runs of the same scenario; during the runs, the simulator was killed once."""
 
     killed: str  # command line of the process that was killed
     is_server: bool  # True if a server was killed, False if the worker process that runs scenarios
@@ -48,7 +48,7 @@ class SimulatorCrashResult:
 
     @property
     def spread(self) -> float | None:
-        """Largest distance in m of positions from the recording before the crash; None if a run cannot be compared."""
+        """Largest distance in m between positions in any run and in `first`; None if a run cannot be compared."""
         largest = 0.0
         for outcome in self.outcomes:
             distance = None if isinstance(outcome, SimulationError) else max_position_difference(self.first, outcome)
@@ -61,11 +61,13 @@ class SimulatorCrashResult:
 def crash_during_runs(simulator: str, concrete: ConcreteScenario, ego: str) -> SimulatorCrashResult:
     """Run a scenario again and again, and kill the simulator once meanwhile.
 
-    If the worker process has started a server, the server is killed, otherwise the worker process itself. Raises
-    `NotTriedError` if cornercase has not started the server, or if all runs ended before the crash.
+    If the worker process has started a server of the simulator, the server is killed, otherwise the worker process
+    itself. Raises `NotTriedError` if the server was started outside cornercase, or if all runs ended before the crash.
     """
     if "start" in declared_options(SIMULATORS.get_class(simulator)) and "start=" not in simulator:
-        raise NotTriedError("cornercase has not started the simulator's server; let it start one by the option start.")
+        raise NotTriedError(
+            "The simulator's server was not started by cornercase; give the command that starts it as option start."
+        )
     own = psutil.Process()
     others = {process.pid for process in own.children(recursive=True)}
     with create_simulator(simulator, {}, ego=ego, workers=1) as started:
@@ -112,9 +114,10 @@ def _is_gone(process: psutil.Process) -> bool:
 
 
 def _find_process_to_kill(own: psutil.Process, others: set[int]) -> tuple[psutil.Process, bool]:
-    """Return the server that a worker process has started, or else the worker process, and True for a server.
+    """Return the process to kill, and whether it is a server.
 
-    `others` are ids of processes that are no workers. The server is the oldest process that a worker has started.
+    The server is the oldest process that a worker process has started. Without a server, the worker is returned.
+    `others` are the ids of child processes that existed before the workers.
     """
     workers = [process for process in own.children() if process.pid not in others and _is_worker(process)]
     assert workers, "It runs in no process of its own."

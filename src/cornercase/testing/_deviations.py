@@ -53,7 +53,7 @@ UNITS: Final = {
 
 @dataclass(frozen=True)
 class Deviations:
-    """Largest deviations of any entity from the builtin simulator; a deviation that is not known is infinite."""
+    """Largest deviations of any entity from its motion in the builtin simulator; an unknown deviation is infinite."""
 
     position: float  # m, of the centre of the bounding box at an instant
     heading: float  # rad, at an instant
@@ -65,7 +65,7 @@ class Deviations:
 
     @property
     def largest_relative_deviation(self) -> float:
-        """Largest ratio of a deviation to its tolerance, without the end, which some corrections change."""
+        """Largest ratio of a deviation to its tolerance; `end` does not count, since some corrections change it."""
         return max(float(value) / TOLERANCES[name] for name, value in asdict(self).items() if name != "end")
 
     @property
@@ -178,7 +178,7 @@ def _describe_different_entities(names: set[str], own: Recording) -> str:
 def _run_builtin(
     concrete: ConcreteScenario, boxes: Recording | None, drivers: Mapping[str, DriverLike] | None
 ) -> Recording:
-    """Run a scenario in the builtin simulator, with box sizes from the recording `boxes` if given."""
+    """Run a scenario in the builtin simulator; if `boxes` is given, vehicles have the box sizes of this recording."""
     with TemporaryDirectory() as name:
         if boxes is not None:
             root = etree.parse(concrete.path).getroot()
@@ -200,9 +200,9 @@ def _run_builtin(
 
 
 def find_likely_mistake(own: Recording, expected: Recording) -> str:
-    """Return the mistake, as a clause, whose correction makes a recording agree best with the expected recording.
+    """Return as a clause which mistake most likely explains how a recording differs from the expected recording.
 
-    Empty if no correction makes the recordings agree.
+    This is the mistake whose correction makes both recordings agree best. Empty if no correction makes them agree.
     """
     best, cause = np.inf, ""
     for clause, corrected in iter_corrections(own, expected):
@@ -213,7 +213,7 @@ def find_likely_mistake(own: Recording, expected: Recording) -> str:
 
 
 def measure_deviations(own: Recording, expected: Recording) -> Deviations:
-    """Measure deviations of a recording from an expected recording of the same entities, at the expected instants."""
+    """Measure deviations of a recording from an expected recording, at the instants of the expected recording."""
     end = min(own.time[-1], expected.time[-1])
     # Instants may differ by rounding.
     at = expected.time[(expected.time <= end + _SAME_TIME) & (expected.time >= own.time[0] - _SAME_TIME)]

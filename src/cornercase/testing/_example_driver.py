@@ -15,7 +15,7 @@ _SMALLEST_GAP: Final = 0.1
 
 
 class CarFollowing(SystemUnderTest):
-    """Intelligent driver model that approaches 10 m/s, and stops behind a standing leader."""
+    """Intelligent driver model with a desired speed of 10 m/s, which stops behind a standing vehicle ahead."""
 
     def step(self, view: View, dt: float) -> Control:
         """Return the acceleration in m/s² for a view of the traffic."""

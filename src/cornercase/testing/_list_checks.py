@@ -26,7 +26,7 @@ _CHECKS: tuple[tuple[tuple[type[Any], ...], Callable[[Any], list[ContractCheck]]
 
 
 def list_checks(candidate: SystemUnderTest | Driver | Simulator | Metric | Optimizer) -> list[ContractCheck]:
-    """Return the contract checks of an object, chosen by its base class.
+    """Return the contract checks of an object; its base class decides which checks these are.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ def list_checks(candidate: SystemUnderTest | Driver | Simulator | Metric | Optim
     Raises
     ------
     InputError
-        `candidate` is something else.
+        `candidate` is of no such class.
 
     Examples
     --------
@@ -70,7 +70,7 @@ def check(candidate: SystemUnderTest | Driver | Simulator | Metric | Optimizer) 
     AssertionError
         A check failed. The message has a line for each failed check.
     InputError
-        `candidate` is something else.
+        `candidate` is of no such class.
 
     Examples
     --------
@@ -95,11 +95,11 @@ def parametrize_with_checks(
     Returns
     -------
     callable
-        Decorator of a test function with the argument ``check``.
+        Decorator for a test function with the argument ``check``, which is a `ContractCheck`.
 
     Examples
     --------
-    In a test module; ``Aeb`` is your own class:
+    In a test module, with your own object instead of the optimizer:
 
     >>> from cornercase.testing import parametrize_with_checks
     >>> from cornercase.optimizers import OPTIMIZERS

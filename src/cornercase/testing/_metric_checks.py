@@ -34,9 +34,10 @@ def metric_checks(
     Parameters
     ----------
     metric : str or Metric
-        Name, with options after a colon, or object.
+        Metric, or its name with options after a colon, such as ``"ttc:accelerating=true"``.
     recordings : sequence of tuple, optional
-        Recordings, each with the names of the ego and of the other entity; by default recordings of example scenarios.
+        Recordings, each with the name of the ego and the name of the other entity that the metric measures. By default
+        recordings of example scenarios.
 
     Returns
     -------

@@ -25,7 +25,7 @@ def optimizer_checks(optimizer: str | Optimizer) -> list[ContractCheck]:
     Parameters
     ----------
     optimizer : str or Optimizer
-        Name, with options after a colon, or object.
+        Optimizer, or its name with options after a colon, such as ``"level-set:filling=0.1"``.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Driver that records the strongest decisions of another driver."""
+"""Driver that passes on the decisions of another driver, and records the strongest ones."""
 
 from __future__ import annotations
 
@@ -17,7 +17,10 @@ class DriverRequest(NamedTuple):
     time: float
 
     def stronger_of(self, values: FloatArray, rows: BoolArray, time: float) -> DriverRequest:
-        """Return the stronger of this request and the strongest of `values` in the scenarios `rows` at a later time."""
+        """Return this request, or the strongest request in `values` if it is stronger.
+
+        `values` are requested at `time`, one in each scenario; only scenarios with True in `rows` count.
+        """
         given = values[rows & np.isfinite(values)]
         value = float(given[np.abs(given).argmax()]) if len(given) else 0.0
         return DriverRequest(value, time) if abs(value) > abs(self.value) else self
@@ -36,17 +39,17 @@ class RequestRecordingDriver(DrivingFunction):
         self.max_steering = np.inf
 
     def prepare(self, start: Start) -> None:
-        """Prepare the driver for a batch of scenarios."""
+        """Prepare the given driver for a batch of scenarios."""
         self.max_steering = start.body.max_steering
         if isinstance(self._driver, DrivingFunction):
             self._driver.prepare(start)
 
     def start(self, scenarios: int, others: int) -> None:
-        """Reset the driver."""
+        """Reset the given driver before a batch of scenarios."""
         self._driver.start(scenarios, others)
 
     def decide(self, situation: Situation) -> Controls:
-        """Return the driver's decision, and record its strongest values."""
+        """Return the decision of the given driver; record its requests if they are the strongest so far."""
         active, time = situation.active.copy(), situation.time
         if not isinstance(self._driver, DrivingFunction):
             accelerations = self._driver.acceleration(situation)
@@ -61,6 +64,6 @@ class RequestRecordingDriver(DrivingFunction):
         return controls
 
     def release(self) -> None:
-        """Release what the driver holds."""
+        """Release processes and files of the given driver at the end of a batch."""
         if isinstance(self._driver, DrivingFunction):
             self._driver.release()

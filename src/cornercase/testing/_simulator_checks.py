@@ -55,13 +55,13 @@ def simulator_checks(
     Parameters
     ----------
     simulator : str or Simulator
-        Name, with options after a colon, or object.
+        Simulator, or its name with options after a colon, such as ``"esmini:seed=3"``.
     cases : sequence of Cases, optional
         Scenarios to run; by default some examples of cornercase.
     on_run : callable, optional
-        Called with each run of a small scenario.
+        Function that is called with the result of each small scenario, for example to write a report.
     on_crash : callable, optional
-        Called with the result of the crash on purpose.
+        Function that is called with the result of the check that kills the simulator on purpose.
 
     Returns
     -------
@@ -83,7 +83,7 @@ def simulator_checks(
     """
     if isinstance(simulator, type):
         name = simulator.__qualname__
-        raise InputError(f"`simulator` {name}: is a class; give its name, or an object, as {name}().")
+        raise InputError(f"`simulator` {name}: is a class; give the simulator's name, or an object, as in {name}().")
     declared = SIMULATORS.get_class(simulator)
     given = cases if cases is not None else _default_cases(declared)
     checks = {
@@ -209,8 +209,8 @@ def _check_run_after_failure(simulator: Any, all_cases: Sequence[Cases]) -> None
         first, second = Cases((broken, concrete), cases.entity).outcomes(simulator)
     except InputError as error:
         raise AssertionError(
-            "It raises InputError, which ends the whole search, for one scenario in which a number is 'nonsense';"
-            f" yield a SimulationError for that one instead ({str(error).removesuffix('.')})."
+            "If a number in one scenario is 'nonsense', the simulator raises InputError, and the whole search ends;"
+            f" yield a SimulationError for this scenario instead ({str(error).removesuffix('.')})."
         ) from error
     assert isinstance(first, SimulationError), "It runs a scenario in which a number is 'nonsense'."
     assert isinstance(second, Recording), f"The scenario after a failed one fails, too: {second}."
@@ -234,7 +234,9 @@ def _check_crash_recovery(
     simulator: Any, all_cases: Sequence[Cases], on_crash: Callable[[SimulatorCrashResult], None] | None = None
 ) -> None:
     if not isinstance(simulator, str):
-        raise NotTriedError("A simulator object runs in this process, which cannot be killed; give the name instead.")
+        raise NotTriedError(
+            "A simulator object runs in this process, which cannot be killed; give the simulator's name instead."
+        )
     run = crash_during_runs(simulator, all_cases[0].concretes[0], all_cases[0].entity)
     if on_crash is not None:
         on_crash(run)
@@ -249,7 +251,7 @@ def _check_agreement_when_driven(
 ) -> None:
     declared = SIMULATORS.get_class(simulator)
     if not declared.runs_storyboard or "drivers" not in declared_options(declared):
-        raise NotTriedError("It takes no driving functions of cornercase.")
+        raise NotTriedError("The simulator cannot run both the storyboard and driving functions of cornercase.")
     with TemporaryDirectory() as folder:
         concrete = write_small_scenarios(Path(folder), name)[name]
         run = run_small_scenario(simulator, name, concrete, agent=_OWN_FUNCTION, drivers={"Ego": CarFollowing()})

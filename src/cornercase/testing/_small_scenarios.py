@@ -27,7 +27,7 @@ _VAN_OFFSET: Final = 0.1
 class SmallScenario(NamedTuple):
     """Description of a small scenario: name, road, kinds of entities, initial actions, events, and duration in s.
 
-    Entities are named as in result files of CarMaker.
+    Entities are named ``Ego``, ``T00`` and so on, since CarMaker uses these names in result files.
     """
 
     name: str
@@ -39,9 +39,9 @@ class SmallScenario(NamedTuple):
 
 
 def write_small_scenarios(folder: Path, *names: str) -> dict[str, ConcreteScenario]:
-    """Write small scenarios and their roads to a folder; return the concrete scenarios by name.
+    """Write the small scenarios `names` and their roads to a folder; return the concrete scenarios by name.
 
-    Without `names`, the twelve scenarios without agents are written.
+    Without `names`, the twelve scenarios that need no agent are written.
     """
     concretes = dict[str, ConcreteScenario]()
     for number, scenario in enumerate((*_SMALL_SCENARIOS, *_AGENT_SCENARIOS), 1):

@@ -47,7 +47,8 @@ def sut_checks(system: str | SystemUnderTest | Driver, cases: Sequence[Cases] | 
     Parameters
     ----------
     system : str, SystemUnderTest or Driver
-        As for ``drivers``: an object, or a text such as ``"my_aeb:Aeb:reaction=0.3"``.
+        An object, a preset such as ``"normal"``, or a text with module, class and options, such as
+        ``"my_aeb:Aeb:reaction=0.3"``.
     cases : sequence of Cases, optional
         Scenarios to drive in; by default some examples of cornercase.
 
@@ -257,11 +258,11 @@ def _require_same(first: Sequence[Recording], second: Sequence[Recording], what:
         if not are_bitwise_equal(recording, repeated):
             begin = _first_difference(recording, repeated)
             at = min(recording.time[-1], repeated.time[-1]) if begin is None else begin
-            raise AssertionError(f"{what} differs from {at:g} s on (scenario {k}); look for {suspects}.")
+            raise AssertionError(f"{what} differs, first at {at:g} s (scenario {k}); look for {suspects}.")
 
 
 def _first_difference(first: Recording, second: Recording) -> float | None:
-    """Return the first common instant in s at which the motion differs; None if the motion is the same."""
+    """Return the first instant in s at which the motion in two recordings differs; None if it never does."""
     count = min(len(first.time), len(second.time))
     differs = np.zeros(count, dtype=np.bool_)
     for name in ("x", "y", "heading", "speed"):

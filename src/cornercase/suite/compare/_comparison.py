@@ -1,4 +1,4 @@
-"""Result of a comparison of two versions."""
+"""Result of a comparison of two versions of a system under test."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _MAX_LISTED_FINDINGS: Final = 4
 
 @dataclass(frozen=True)
 class ScenarioPair:
-    """One concrete scenario that ran with both versions; in each pair of values the old one comes first.
+    """One concrete scenario that both studies ran, even if it failed; in each pair of values the old one comes first.
 
     Attributes
     ----------
@@ -50,10 +50,10 @@ class ScenarioPair:
     point : tuple of float, length d
         Point in the unit cube.
     run : {"the same", "within rounding", "otherwise", "not in one", "in neither"}
-        How the recordings compare: they are identical, differ by at most 1e-6 in the unit of each value, or
-        differ by more. The last two values mean that the scenario failed in one study, or in both.
+        Whether the recordings are identical, differ by at most 1e-6 (in m, s, rad, m/s or m/s²), or differ by more.
+        "not in one" means that the scenario failed in one study, "in neither" that it failed in both.
     is_score_independent : bool
-        Whether both studies chose the scenario independently of scores.
+        Whether both studies chose the scenario without regard to scores of earlier scenarios.
     errors : tuple of (str or None, str or None)
         Why the scenario failed in each study; None if it did not fail.
     scores : mapping of str to tuple of (float, float)
@@ -70,9 +70,10 @@ class ScenarioPair:
         Margins of the requirements whose verdict changed between passed and failed; a negative margin means violated.
         Collisions have no margin.
     criticality_scores : mapping of str to tuple of (float, float)
-        Scores that define whether the scenario is critical, by metric; empty without a threshold.
+        Old and new score of each metric that decides whether the scenario is critical; empty without a threshold.
     faults : tuple of (str, str)
-        Whose fault the ego's first collision is, as ``"Ego at fault"``; empty without a collision, or if unknown.
+        Who is at fault in the ego's first collision, such as ``"Ego at fault"``. Empty without a collision, or if
+        nobody's fault is known.
 
     Examples
     --------
@@ -155,10 +156,12 @@ class ChangeTest:
     Attributes
     ----------
     about : str
-        What is tested: ``"wttc"``, ``"critical"``, ``"collision"``, ``"failed verdict"`` or ``"not run"``.
+        What is tested: the scores of a metric, such as ``"wttc"``, or how many scenarios are ``"critical"``, have a
+        ``"collision"``, have a ``"failed verdict"``, or failed to run (``"not run"``).
     method : str
         ``"Wilcoxon signed-rank"``, ``"exact McNemar"``, ``"Mann-Whitney"``, ``"exact Fisher"`` or
-        ``"critical sets"``, which compares draws of the critical sets of both studies.
+        ``"critical sets"``. The last one estimates the critical part of the space from each study, and compares random
+        draws from both estimates.
     old, new : int
         Number of scenarios from each study; for paired tests both are the number of pairs.
     differ : int or None
@@ -168,8 +171,8 @@ class ChangeTest:
     direction : {"worse", "better"} or None
         Whether the new version tends to be better or worse, even if the test is not significant; None for a tie.
     shift : float
-        Mean score of the new version minus mean score of the old version, in the metric's unit. For yes/no facts, the
-        difference of the proportions.
+        Mean score of the new version minus mean score of the old version, in the metric's unit. If scenarios are
+        counted instead: proportion with the new version minus proportion with the old version.
 
     Examples
     --------
@@ -194,25 +197,28 @@ class ChangeTest:
 
 @dataclass(frozen=True, repr=False)
 class Finding:
-    """A change with the new version: worse, better, or within the tolerances; `str` returns a description.
+    """A kind of change with the new version, and the scenarios that show it; `str` returns a description.
 
     Attributes
     ----------
     kind : {"collision", "requirement", "run", "critical", "score"}
     about : str
-        The requirement, or the metric. Empty for other kinds, and for a test of all requirements together.
+        For the kind "score" the name of the metric, for "requirement" the requirement. Empty for other kinds, and if a
+        test of all requirements together found the change.
     direction : {"worse", "better"}
+        Whether the change makes the new version worse or better.
     ids : tuple of (int, int)
         Ids of the scenarios with this change, in the old and in the new study. Empty if a test of unpaired scenarios
         found the change.
     n_opposite : int, default 0
-        Number of scenarios with the opposite change; only counted for tests.
+        Number of scenarios with the opposite change; 0 if no test found the change.
     largest_change : float or None, default None
-        Score change with the largest absolute value, new minus old.
+        For the kind "score", the score change with the largest absolute value, new minus old.
     unit : str, default ""
         Unit of the score.
     test : ChangeTest or None, default None
-        The test that found the change; None if single scenarios show it.
+        The significance test that found the change. None if no test was needed: when runs are deterministic, any
+        scenario with different runs shows a change.
 
     Examples
     --------
@@ -279,7 +285,8 @@ class Finding:
         Returns
         -------
         str
-            ``"4, 9 and 3 more"``; a scenario with another id in the new study as ``"4→7"``.
+            Ids such as ``"4, 9 and 3 more"``. ``"4→7"`` stands for a scenario with the id 4 in the old study and 7 in
+            the new study.
         """
         n_more = len(self.ids) - limit
         return ", ".join(map(format_pair_ids, self.ids[:limit])) + (f" and {n_more} more" if n_more > 0 else "")
@@ -290,7 +297,7 @@ class Finding:
         Returns
         -------
         str
-            Empty if single scenarios show the change.
+            Empty if no test was needed to find the change.
         """
         if self.test is None:
             return ""
@@ -311,15 +318,15 @@ class ClusterChange:
     Attributes
     ----------
     cluster : int
-        Number in the old study; -1 for noise.
+        Number of the cluster in the old study; -1 for noise, the scenarios outside all clusters.
     label : str
         Name of the cluster. It describes the old study, and may not be true of runs of the new version.
     old, new : int
         Number of pairs with each version.
     old_outcomes, new_outcomes : mapping of str to int
-        Number of the cluster's scenarios by how they end, with each version; the most frequent ending comes first.
+        How many of the cluster's scenarios end in each way, with each version; the most frequent ending comes first.
     ids : tuple of (int, int)
-        Pairs that are in the cluster with one version only.
+        Ids of the pairs that are in the cluster with one version only.
 
     Examples
     --------
@@ -348,7 +355,7 @@ class UnpairedScenarios:
     count : int
         Number of these scenarios.
     chosen_by_scores : int
-        Number of scenarios that the search chose by the scores of this version.
+        Number of scenarios that the search of this study chose because of scores of earlier scenarios.
     critical : int or None
         Number of critical scenarios; None without a threshold.
     collisions : int
@@ -375,24 +382,27 @@ class SpaceChange:
     Attributes
     ----------
     pairs : int
-        Number of pairs that sample the space independently of scores.
+        Number of pairs that ran with both versions, and that both searches chose without regard to scores.
     gained, lost : Estimate or None
         Fraction of the space that is critical with the new version only, and with the old version only. Both are
         estimated from the pairs that `pairs` counts; None if there are fewer than 20.
     pairs_doubt : str
         Why `gained` and `lost` are None; empty if they are not.
     sets : CriticalSetDifference or None
-        Estimated change of the critical set, from all scenarios of both studies; None if no interval can be computed.
+        Change of the critical set (the critical part of the space), estimated from all scenarios of both studies. None
+        if it cannot be estimated, or if both studies hold the same results.
     sets_doubt : str
         Why `sets` is None; empty if it is not.
     parameters, units : tuple of str
         Names and units of the coordinates of `sets.middles`.
     shares : tuple of (Estimate, Estimate) or None
-        Critical share of the space with each version, from scenarios that fill it; None if there are too few.
+        Critical share of the space with each version, estimated from scenarios that were chosen without regard to
+        scores. None if there are fewer than 20 of them.
     change : Estimate or None
-        Change of the critical share, new minus old, with an interval of at least 90 % confidence.
+        Change of the critical share, new minus old, with an interval of at least 90 % confidence. None if `shares` is
+        None.
     counts : tuple of (int, int)
-        Number of scenarios of each study from which `shares` is estimated; both are equal if scenarios are paired.
+        Number of scenarios of each study from which `shares` is estimated. If pairs are used, both numbers are equal.
 
     Examples
     --------
@@ -444,7 +454,7 @@ class Example:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Result of a comparison of two versions; as a bool, the result is True if anything changed.
+    """Result of a comparison of two versions of a system under test; as a bool, True if anything changed.
 
     Attributes
     ----------
@@ -465,30 +475,36 @@ class Comparison:
     worse, better : tuple of Finding
         Findings for each direction, the most important first.
     within_tolerance : tuple of Finding
-        Changes of requirements and criticality that do not count because the scores changed within the tolerances.
+        Changes that do not count: a verdict on a requirement changed, or a scenario became critical or stopped being
+        critical, but the scores behind it changed by no more than the tolerances.
     tolerances : mapping of str to float
         Largest change of a score that does not count, by metric.
     is_deterministic : bool
-        Whether both simulators are deterministic: then any difference between recordings shows a change.
+        Whether the runs of both studies are deterministic. If they are, any difference between recordings shows that
+        the versions differ.
     pairs : tuple of ScenarioPair
         Scenarios with the same parameters, in the order of the old study.
     n_unmatched : tuple of (int, int)
         Number of scenarios in each study that the other study lacks.
     scores : tuple of ScoreChanges
-        One for each metric; empty without pairs.
+        Score changes of each compared metric; empty if no pair ran with both versions.
     tests : tuple of ChangeTest
+        All significance tests, also those without a significant result.
     outcomes : mapping of tuple of (str, str) to int
         Number of pairs by old and new outcome.
     verdicts : mapping of tuple of (str, str, str) to int
         Number of pairs by requirement, old and new state.
     clusters : mapping of str to tuple of ClusterChange
-        Changes of clusters, by aspect (what the scenarios of the old study were clustered by).
+        Changes of clusters, by aspect. An aspect is what the scenarios of the old study were clustered by, such as
+        "interaction".
     space : SpaceChange or None
-        Change of the critical part of the space; None without a threshold.
+        Change of the critical part of the space. None without a threshold, or if the scenarios of a study were not
+        chosen by an optimizer.
     examples : tuple of Example
         At most five examples.
     metrics : mapping of str to Metric
-        The compared metrics, those that define criticality and those in requirements, by name.
+        Metrics by name: the compared metrics, the metrics that decide which scenarios are critical, and the metrics in
+        requirements.
     critical : float or None
         Threshold that was given for the comparison; None if each study's own threshold is used.
     unpaired : tuple of (UnpairedScenarios, UnpairedScenarios) or None
@@ -539,15 +555,15 @@ class Comparison:
         return self.changed
 
     def table(self) -> pd.DataFrame:
-        """Make a table of the scenarios that ran with both versions.
+        """Make a table of the scenarios that both studies ran, even if they failed.
 
         Returns
         -------
         DataFrame
             One row per pair, indexed by ``old`` and ``new``, the ids in both studies. The columns are the parameters
-            and ``run`` (whether the recordings are the same). Each metric, ``outcome`` and ``critical`` have a column
-            for each version, such as ``old outcome`` and ``new outcome``. If a run failed, these cells are empty.
-            Cells of ``critical`` are also empty without a threshold.
+            and ``run`` (whether the recordings are the same). Each metric, ``outcome`` and ``critical`` have two
+            columns, one for each version, such as ``old outcome`` and ``new outcome``. If a run failed, the cells of
+            these columns are empty. Without a threshold there are no columns for ``critical``.
         """
         import pandas as pd
 
@@ -579,11 +595,12 @@ class Comparison:
         return f"{self.verdict.capitalize()}{'.' if self.verdict == 'mixed' else ':'} {self.verdict_reason}"
 
     def count_pairs(self, run_comparison: RunComparison) -> int:
-        """Count the pairs with this value of `ScenarioPair.run`.
+        """Count the pairs whose recordings compare in a given way.
 
         Parameters
         ----------
         run_comparison : {"the same", "within rounding", "otherwise", "not in one", "in neither"}
+            Value of `ScenarioPair.run`.
 
         Returns
         -------

@@ -22,13 +22,14 @@ _DRAW_SEED = 0
 def estimate_space_change(
     old: ComparedStudy, new: ComparedStudy, pairs: tuple[ScenarioPair, ...]
 ) -> SpaceChange | None:
-    """Estimate how the critical part of the space changed; None without a threshold, or if a study was not explored.
+    """Estimate how the critical part of the space changed; None without a threshold or without an optimizer.
 
-    An optimizer prefers critical scenarios, so its choices say nothing about fractions of the space. Only scenarios
-    from initial designs and audits (scenarios drawn at random as a check) are counted. The numbers of pairs that are
-    critical with one version only give Clopper-Pearson intervals of the fractions of the space that became critical,
-    and that are no longer critical. If there are fewer than 20 pairs, the samples of both studies are compared without
-    pairs. In addition, the critical sets are estimated from all scenarios of both studies.
+    An optimizer prefers critical scenarios, so the scenarios that it chose say nothing about fractions of the space.
+    Only scenarios from initial designs, grids and audits (scenarios drawn at random as a check) are counted. Some pairs
+    are critical with the new version only, some with the old version only. Both numbers of pairs give Clopper-Pearson
+    intervals: of the fraction of the space that became critical, and of the fraction that is no longer critical. If
+    there are fewer than 20 pairs, each study's critical share is estimated from its own scenarios, and the shares are
+    compared. In addition, the critical sets are estimated from all scenarios of both studies.
     """
     if not (old.is_critical and new.is_critical and old.is_explored and new.is_explored):
         return None
@@ -78,9 +79,10 @@ def _estimate_critical_shares(old: BoolArray, new: BoolArray) -> tuple[Estimate,
 
 
 def _estimate_difference(more: tuple[int, int], less: tuple[int, int]) -> Estimate:
-    """Estimate `more` minus `less`, two proportions that are given as hits and draws, with a 90 % interval.
+    """Estimate the difference `more` minus `less` of two proportions, with an interval of at least 90 % confidence.
 
-    The interval combines the 95 % Clopper-Pearson intervals of both proportions (Bonferroni), so it also holds if the
+    Each proportion is given as the number of hits (such as critical scenarios) and the number of all scenarios. The
+    interval combines the 95 % Clopper-Pearson intervals of both proportions (Bonferroni), so it also holds if the
     proportions are dependent.
     """
     (low, high), (other_low, other_high) = (clopper_pearson_interval(*proportion, 0.025) for proportion in (more, less))

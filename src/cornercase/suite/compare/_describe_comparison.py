@@ -32,7 +32,7 @@ MAX_TABLE_SCENARIOS: Final = 40
 
 @dataclass(frozen=True)
 class ComparisonSection:
-    """A section of a comparison report; `header` is the first row of its table, empty without a table.
+    """A section of a comparison report; `header` is the first row of the table in the section, empty without a table.
 
     `key` is ``"answer"``, ``"changes"``, ``"findings"``, ``"pairs"``, ``"scores"``, ``"outcomes"``, ``"verdicts"``,
     ``"tests"``, ``"space"``, ``"kinds"`` or ``"telling"``.

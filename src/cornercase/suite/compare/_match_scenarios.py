@@ -27,12 +27,12 @@ _ROUNDING_TOLERANCE = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class ComparedStudy:
-    """One of the two studies of a comparison; mappings are by scenario id.
+    """One of the two studies of a comparison; the keys of mappings are scenario ids.
 
-    `rows` are the scenarios that have ended; if parameter values are repeated, only the first scenario with them.
-    `fills_space` says whether a scenario belongs to a sample of the space that does not depend on scores. `is_explored`
-    says whether an optimizer chose scenarios. `scores` has the scores by metric. `is_critical` is empty without a
-    threshold. `impacts` are the ego's collisions.
+    `rows` are the scenarios that have ended, with or without success. If several scenarios have the same parameter
+    values, only the first of them is in `rows`. `fills_space` says whether a search chose the scenario without regard
+    to scores. `is_explored` says whether an optimizer chose the study's scenarios. `scores` has the scores of each
+    scenario by metric. `is_critical` is empty without a threshold. `impacts` are the ego's collisions.
     """
 
     study: StudyFile
@@ -48,7 +48,7 @@ class ComparedStudy:
     def from_study(
         cls, study: StudyFile, metrics: Sequence[str], verdicts: Mapping[int, Sequence[Verdict]]
     ) -> ComparedStudy:
-        """Read all results of an open study except recordings."""
+        """Read the results of an open study, but no recordings."""
         rows, done = study.rows(), [row.id for row in study.finished_rows()]
         first_rows: dict[tuple[object, ...], ScenarioRecord] = {}
         for row in rows:
@@ -72,7 +72,7 @@ class ComparedStudy:
         return not self.is_explored or self.fills_space[scenario]
 
     def space_filling_ids(self) -> list[int]:
-        """Return ids of scenarios that ran and are part of a sample of the space that does not depend on scores."""
+        """Return ids of the scenarios that ran without failing, and that the search chose without regard to scores."""
         return [row.id for row in self.rows if row.state == "done" and self.fills_space[row.id]]
 
 
@@ -204,7 +204,7 @@ def _match_verdicts(old: Sequence[Verdict], new: Sequence[Verdict]) -> tuple[tup
 def count_unpaired_scenarios(
     old: ComparedStudy, new: ComparedStudy, pairs: Sequence[ScenarioPair]
 ) -> tuple[UnpairedScenarios, UnpairedScenarios]:
-    """Count the scenarios that only one study ran, also those that are critical, collide, or were chosen by scores."""
+    """Count the scenarios that only one study ran, for each study: all, critical, with collision, chosen by scores."""
 
     def count_side(side: ComparedStudy, paired: set[int]) -> UnpairedScenarios:
         ids = [row.id for row in side.rows if row.id not in paired]
@@ -217,7 +217,7 @@ def count_unpaired_scenarios(
 
 
 def choose_compared_metrics(old: StudyFile, new: StudyFile, metrics: Sequence[str] | None) -> tuple[str, ...]:
-    """Return the metrics to compare; `InputError` if the studies cannot be compared."""
+    """Return the metrics to compare; raise `InputError` if the studies cannot be compared."""
     pair = f"{old.path} and {new.path}"
     a, b = old.meta, new.meta
     # The fingerprint of an import is that of its recordings.
@@ -227,7 +227,8 @@ def choose_compared_metrics(old: StudyFile, new: StudyFile, metrics: Sequence[st
             f"different versions of the same {subject[:-1]}" if a.file_name == b.file_name else f"different {subject}"
         )
         raise InputError(
-            f"{pair}: are of {versions} ({a.file_name}, {b.file_name}); compare studies of the same scenarios."
+            f"{pair}: the studies are of {versions} ({a.file_name}, {b.file_name}); compare studies of the same"
+            " scenarios."
         )
     if a.space.parameters != b.space.parameters:
         only_old, only_new = (
@@ -235,13 +236,13 @@ def choose_compared_metrics(old: StudyFile, new: StudyFile, metrics: Sequence[st
             for mine, other in ((a.space, b.space), (b.space, a.space))
         )
         raise InputError(
-            f"{pair}: have different parameter spaces (only the first: {only_old}; only the second:"
+            f"{pair}: the studies have different parameter spaces (only the first: {only_old}; only the second:"
             f" {only_new}); compare studies of the same parameters and ranges."
         )
     if (a.ego, set(a.others)) != (b.ego, set(b.others)):
         entities = "; ".join(f"{meta.ego} and {', '.join(meta.others)}" for meta in (a, b))
         same = "the same two" if len(a.others) == len(b.others) == 1 else "the same entities"
-        raise InputError(f"{pair}: measure different entities ({entities}); compare studies of {same}.")
+        raise InputError(f"{pair}: the studies measure different entities ({entities}); compare studies of {same}.")
     shared = tuple(name for name in a.metrics if name in b.metrics)
     if metrics is None:
         if set(a.metrics) != set(b.metrics):
@@ -249,30 +250,34 @@ def choose_compared_metrics(old: StudyFile, new: StudyFile, metrics: Sequence[st
                 f"choose among {', '.join(shared)} with `metrics`" if shared else "compare studies of the same metrics"
             )
             raise InputError(
-                f"{pair}: have different metrics ({', '.join(a.metrics)}; {', '.join(b.metrics)}); {advice}."
+                f"{pair}: the studies have different metrics ({', '.join(a.metrics)}; {', '.join(b.metrics)});"
+                f" {advice}."
             )
         compared = shared
     else:
         compared = tuple(dict.fromkeys(metrics))
         if not compared:
-            raise InputError(f"`metrics`: name at least one; both have {', '.join(shared) or 'none'}.")
+            raise InputError(f"`metrics`: name at least one metric; both studies have {', '.join(shared) or 'none'}.")
         for name in compared:
             if name not in shared:
-                raise InputError(f"`metrics` {name}: is not in both studies; both have {', '.join(shared) or 'none'}.")
+                raise InputError(
+                    f"`metrics` {name}: is not in both studies; metrics in both: {', '.join(shared) or 'none'}."
+                )
     if old.criterion and new.criterion and _describe_criterion(a) != _describe_criterion(b):
         raise InputError(
-            f"{pair}: call scenarios critical by different metrics ({_describe_criterion(a)};"
-            f" {_describe_criterion(b)}); compare studies whose first metric, or whose weights, are the same."
+            f"{pair}: the studies decide by different metrics which scenarios are critical ({_describe_criterion(a)};"
+            f" {_describe_criterion(b)}); compare studies with the same first metric, or with the same weights."
         )
     if old.criterion and new.criterion and old.critical != new.critical:
         raise InputError(
-            f"{pair}: have different thresholds ({a.critical:g}, {b.critical:g}); give one for both with `critical`."
+            f"{pair}: the studies have different thresholds ({a.critical:g}, {b.critical:g}); give one for both with"
+            " `critical`."
         )
     return compared
 
 
 def _have_same_scenarios(old: StudyMeta, new: StudyMeta) -> bool:
-    """Tell whether two studies have the same scenario files, or one is of a suite that was reduced from the other."""
+    """Tell whether two studies have the same scenario files, or one runs a suite that was reduced from the other."""
     if bool(old.suite) == bool(new.suite):
         return (old.fingerprint, old.suite) == (new.fingerprint, new.suite)
     suite, explored = (old, new) if old.suite else (new, old)
@@ -288,7 +293,10 @@ def _describe_criterion(meta: StudyMeta) -> str:
 def space_filling_scores(
     side: ComparedStudy, metrics: Sequence[str]
 ) -> tuple[dict[str, FloatArray], dict[str, BoolArray]]:
-    """Return scores by metric, and facts (collision, critical), of the n space-filling scenarios of a study."""
+    """Return scores by metric, and yes/no facts by name, of the scenarios that were chosen without regard to scores.
+
+    The facts are "collision" and "critical". Each array has the shape (n,) for n scenarios.
+    """
     ids, meta = side.space_filling_ids(), side.study.meta
     scores = {name: np.array([side.scores[scenario][name] for scenario in ids]) for name in metrics}
     hits = [

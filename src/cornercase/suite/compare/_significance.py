@@ -1,4 +1,4 @@
-"""Significance tests for differences between two versions: for scores with caps and ties, and for yes/no facts."""
+"""Significance tests for differences between two versions, in scores (also capped or equal ones) and yes/no facts."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ def score_difference(before: FloatArray, after: FloatArray) -> FloatArray:
 def wilcoxon_p_value(differences: FloatArray) -> float:
     """Return the two-sided p-value of Wilcoxon's signed-rank test that differences, shape (n,), are centered on 0.
 
-    Differences of 0 are left out, as in Wilcoxon's paper: if a score stays at its cap or at 0, it is unknown which
-    version scores lower. Ties get their mean rank. A cap can shrink a difference, but never changes its sign. p is 1 if
-    all differences are 0.
+    Differences of 0 are left out, as in Wilcoxon's paper: if both versions score 0, or both score the cap (the limit of
+    the metric's scores), nobody can say which version is better. Differences of equal size get their mean rank. A cap
+    can shrink a difference, but never changes its sign. p is 1 if all differences are 0.
 
     F. Wilcoxon, "Individual comparisons by ranking methods", Biometrics Bulletin 1 (1945). For few pairs the test is
     exact: `scipy.stats.wilcoxon` enumerates all signs if there are ties.
@@ -59,9 +59,10 @@ def mcnemar_p_value(before: BoolArray, after: BoolArray) -> float:
 
 
 def holm_correct(tests: Sequence[ChangeTest]) -> tuple[ChangeTest, ...]:
-    """Correct the p-values of several tests by Holm's method; the order of the tests stays.
+    """Correct the p-values of several tests by Holm's weighted method; the order of the tests stays.
 
-    The test of the critical sets has as much weight as all others together, since it alone uses all scenarios.
+    The test of the critical sets has as much weight as all other tests together, since only this test uses all
+    scenarios of both studies.
 
     S. Holm, "A simple sequentially rejective multiple test procedure", Scandinavian Journal of Statistics 6 (1979),
     section 4.
@@ -113,7 +114,10 @@ def _signed_rank_sum(differences: FloatArray) -> float:
 
 
 def change_direction(metric: Metric | None, change: float) -> ChangeDirection | None:
-    """Tell whether a change is better or worse; None for no change. Without a metric, an increase is worse."""
+    """Tell whether a change is better or worse; None for no change.
+
+    Without a metric, the change is one of the proportion of bad scenarios, so an increase is worse.
+    """
     oriented = -change if metric is None else metric.to_minimize(change)
     return "worse" if oriented < 0.0 else "better" if oriented > 0.0 else None
 
@@ -128,12 +132,12 @@ def test_unpaired_samples(
     metrics: Mapping[str, Metric],
     sets: CriticalSetDifference | None,
 ) -> list[ChangeTest]:
-    """Test whether scores and facts differ between two samples of the space, one per study, without pairs.
+    """Test whether scores and yes/no facts differ between two samples of the space, one per study, without pairs.
 
     For each study, `scores` has an array of shape (n,) by metric, and `facts` by name ("collision", "critical"). Points
-    of a Sobol' sequence are more even than random points, so the tests are conservative. If the change of the critical
-    set is given as `sets`, it replaces the test of "critical", since it uses all scenarios of both studies. p-values
-    are not corrected.
+    of a Sobol' sequence are more even than random points, so the tests are conservative. If `sets` is given, the change
+    of the critical set is tested instead of the fact "critical", since `sets` uses all scenarios of both studies.
+    p-values are not corrected.
 
     H. B. Mann, D. R. Whitney, "On a test of whether one of two random variables is stochastically larger than the
     other", Annals of Mathematical Statistics 18 (1947); R. A. Fisher, "The design of experiments" (1935).
