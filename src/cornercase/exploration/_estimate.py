@@ -72,7 +72,7 @@ def estimate(
     output : path
         Study file to create or resume.
     budget : int, default 2000
-        Number of scenarios in total, of which at most 40 % are used for learning. A larger budget in a later call
+        Number of scenarios in total; at most 40 % of them are used for learning. A larger budget in a later call
         adds no scenarios for learning.
     critical : float, optional
         Threshold: score from which a scenario is critical. Default: that of the study.

@@ -70,7 +70,7 @@ def evenly_spaced_indices(count: int, max_count: int) -> IntArray:
 
 
 def indices_with_rare_values(count: int, max_count: int, is_rare: BoolArray | None) -> IntArray:
-    """Choose at most `max_count` of `count` values, of which up to half are rare; return their indices.
+    """Choose at most `max_count` of `count` values, up to half of them rare ones; return their indices.
 
     The chosen rare values are evenly spaced among all rare values, the chosen other values among all other values.
     """

@@ -38,8 +38,8 @@ _inlined_kernel = kernel(error_model="numpy", _nrt=False, forceinline=True)
 def steer_along_lane(scene, tracks, fleet, n, driver, e, request, dt, motion):
     """Move an entity that a driver steers along a lane by one time step of `dt` s, in one scenario.
 
-    In Python, `VehicleMover` and `move_to_pose` do the same for all scenarios of a batch. `request` is the acceleration in
-    m/s² that the driver chooses; `motion` (5,) is a buffer. Returns whether the entity may have left its lane.
+    In Python, `VehicleMover` and `move_to_pose` do the same for all scenarios of a batch. `request` is the acceleration
+    in m/s² that the driver chooses; `motion` (5,) is a buffer. Returns whether the entity may have left its lane.
     """
     state, flags = scene.floats[n], scene.flags[n]
     track = scene.integers[n, TRACK, e]

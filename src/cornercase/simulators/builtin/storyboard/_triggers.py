@@ -99,7 +99,7 @@ class Condition:
     def use_leaf_values(self, leaf_values: BoolArray) -> None:
         """Make the condition read its value from `leaf_values`, which compiled code keeps up to date.
 
-        The shape is (scenarios, leaves); leaves are the simple conditions of which the condition consists.
+        The shape is (scenarios, leaves); the condition consists of simple conditions, its leaves.
         """
         if isinstance(self.test, EntityCondition | ValueCondition):
             self.test.leaf_values = leaf_values
