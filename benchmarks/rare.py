@@ -184,9 +184,9 @@ def estimated(function: Function, runs: int, seed: int) -> tuple[Any, bool]:
     return found, bool(describe_doubts("critical scenario", found, plain, plain.scenarios + len(points), 0))
 
 
-def judged(function: Function, runs: int, repetitions: int) -> dict[str, float]:
+def judged(function: Function, runs: int, repetitions: int, first_seed: int = 0) -> dict[str, float]:
     truth, begun = function[2], time.process_time()
-    found = [estimated(function, runs, seed) for seed in range(repetitions)]
+    found = [estimated(function, runs, seed) for seed in range(first_seed, first_seed + repetitions)]
     ratios = np.array([one.value / truth for one, _ in found])
     return {
         "mean": float(ratios.mean()),
