@@ -19,7 +19,7 @@ async function inflate(packed) {
   return new Uint8Array(await new Response(stream).arrayBuffer());
 }
 
-// Decodes a recording that `recordings/_rounded.py` encoded: arrays by name, one row per entity.
+// Decodes a recording that `recordings/_compact_encoding.py` encoded: arrays by name, one row per entity.
 function readRecord(bytes) {
   const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
   const body = 4 + view.getUint32(0, true);
