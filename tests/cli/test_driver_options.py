@@ -168,7 +168,7 @@ def test_a_study_is_the_same_by_options_by_one_text_and_by_a_file(folder):
         ("[Ego]\ndriver='normal'\nsensors=[{options={}}]", "[Ego], sensors 1: has no 'name'; add one."),
         ("[Ego]\ndriver='normal'\nvehicle={name='kinematic', mass=3}", "[Ego], vehicle: has 'mass', which is not known"),
         ("[Ego]\ndriver='normal'\noptions=3", "[Ego], driver: 'options' is no table; write options = {"),
-        ("[Ego]\ndriver='normal'\noptions={horizon=[1]}", "the option 'horizon' is no number, text, true or false."),
+        ("[Ego]\ndriver='normal'\noptions={horizon=[1]}", "the value of the option 'horizon' must be a number, a text, true or false."),
         ("[Ego]\ndriver='normal'\noptions={horizon='1,2'}", "a comma or ' + ' cannot be in a value."),
         ("[Ego", "sut.toml"),
     ],

@@ -213,7 +213,7 @@ def test_where_the_second_run_fails_the_scenario_does(tmp_path):
     path = tmp_path / "s.db"
     with StudyFile.create(path, about.make_study_meta(objective, {})) as opened:
         optimizer = OPTIMIZERS.create("sobol").start(LOGICAL.space, 0)
-        with pytest.raises(InputError, match="no simulator in which cautious drives the ego"):
+        with pytest.raises(InputError, match="add a simulator in which cautious drives the ego"):
             ScenarioExplorer(about, Synthetic(), optimizer, opened, objective)
         references = {"cautious": Failing()}
         ScenarioExplorer(about, Synthetic(), optimizer, opened, objective, references).run()

@@ -56,8 +56,8 @@ def test_a_folder_with_something_else_is_left_alone(study, tmp_path):
         (["--ids", ""], "give ids and ranges of ids"),
         (["--ids", "0"], "give ids and ranges of ids"),
         (["--ids", "1-999999999999"], "names more than 100,000 scenarios"),
-        (["--ids", "3", "--size", "2"], "--ids, --size: give one of them"),
-        (["--ids", "3", "--kill-mutants", "2"], "--ids, --kill-mutants: give one of them"),
+        (["--ids", "3", "--size", "2"], "--ids, --size: give only one of them"),
+        (["--ids", "3", "--kill-mutants", "2"], "--ids, --kill-mutants: give only one of them"),
     ],
 )
 def test_what_cannot_be_written_is_told_in_a_sentence(study, tmp_path, words, told):

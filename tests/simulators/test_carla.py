@@ -333,7 +333,7 @@ def test_a_python_without_carlas_client_is_said(tmp_path, monkeypatch):
     python = bare / ("Scripts" if sys.platform == "win32" else "bin") / "python"
     monkeypatch.setenv("CORNERCASE_CARLA_PYTHON", str(python))
     assert Carla.availability().problem.startswith(
-        f"{python}: CARLA's client is not installed there; get the version of"
+        f"{python}: CARLA's client is not installed there; install the version that"
     )
     monkeypatch.setenv("CORNERCASE_CARLA_PYTHON", str(tmp_path / "no python"))
     assert "no python: is no Python that can be run" in Carla.availability().problem

@@ -126,9 +126,9 @@ class Option:
         return self.default in (None, (), {})
 
     def with_default_of(self, source: str) -> Option:
-        """Return the option without a default, for a function that takes the default from another source.
+        """Return a copy of the option for a function that takes the default from `source`, such as a manifest.
 
-        The documentation says ``default: {source}`` instead.
+        The copy has the default None; its documentation says ``default: {source}``.
         """
         clause = _CLAUSE.split(self.help)[0]
         return replace(

@@ -447,8 +447,8 @@ class Study(PathLike[str]):
         method : {"dbscan", "hdbscan"}, optional
             Algorithm that finds the clusters; by default DBSCAN.
         window : float, optional
-            Largest time difference in s of two instants that are matched, beyond the difference of the recordings'
-            lengths; by default there is no limit.
+            Largest time difference in s of two instants that Dynamic Time Warping matches. If one recording is longer
+            than the other, the difference of their lengths is added. By default there is no limit.
         keep_clusters : bool, default False
             Keep the existing clusters, and assign scenarios that were run since to these clusters.
         threshold : float, optional

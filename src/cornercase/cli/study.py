@@ -72,7 +72,7 @@ def analyze(
         for option, is_given in given.items():
             if is_given:
                 raise InputError(
-                    f"--explore-settings, {option}: give one of them; the page shows the clusters of many settings."
+                    f"--explore-settings, {option}: give only one of them; the page shows clusters of many settings."
                 )
         _write_clustering_settings_page(
             study, explore_settings, by, workers=workers, cluster=cluster, critical=critical, memory=memory
@@ -228,7 +228,7 @@ def reduce(
         selecting = {"--by": by, "--size": size, "--share": share, "--cover": cover, "--archetypes": archetypes}
         for option, value in (selecting | {"--kill-mutants": kill_mutants}).items():
             if value is not None:
-                raise InputError(f"--ids, {option}: give one of them; --ids says which scenarios are written.")
+                raise InputError(f"--ids, {option}: give only one of them; --ids already selects the scenarios.")
     exposure = None
     if kill_mutants is None:
         if require:
@@ -240,7 +240,7 @@ def reduce(
     else:
         for option, value in (("--cover", cover), ("--archetypes", archetypes)):
             if value is not None:
-                raise InputError(f"--kill-mutants, {option}: give one of them.")
+                raise InputError(f"--kill-mutants, {option}: give only one of them.")
         # Check that the study was analyzed before the mutants run.
         with open_study(study, readonly=True, critical=critical) as opened:
             read_analysis(opened, (by or default_aspect(opened)).removeprefix(BANDS_PREFIX))

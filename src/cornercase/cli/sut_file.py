@@ -67,7 +67,7 @@ def _format_name_with_options(where: str, name: Any, options: Any) -> str:
     texts = []
     for key, value in options.items():
         if not isinstance(value, bool | int | float | str):
-            raise InputError(f"{where}: the option '{key}' is no number, text, true or false.")
+            raise InputError(f"{where}: the value of the option '{key}' must be a number, a text, true or false.")
         text = format_option_value(value)
         if "," in text or SEPARATOR in text:
             raise InputError(f"{where}: the option '{key}' contains '{text}'; a comma or ' + ' cannot be in a value.")

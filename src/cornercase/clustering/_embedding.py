@@ -140,7 +140,7 @@ class EmbeddedDistances:
 
     @cached_property
     def _nearest_rows(self) -> IntArray:
-        """Indices of the 64 rows nearest to each column, the nearest first, shape (m, 64)."""
+        """Indices of the 64 scenarios in the rows nearest to the scenario in each column, nearest first, (m, 64)."""
         columns, nearest = pad_axes(self._columns), np.empty((len(self._columns), _N_NEAREST), dtype=np.int64)
         fill_nearest_rows(columns.reshape(len(columns), -1, AXES_PER_STAGE), make_cells(pad_axes(self._rows)), nearest)
         return nearest

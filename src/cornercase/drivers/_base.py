@@ -62,7 +62,7 @@ class DrivenPath:
         if any(getattr(self, name).shape != shape for name in ("x", "y", "heading", "curvature")):
             raise ValueError("all arrays of a path must have the same shape")
         if self.distance[..., 0].any() or not (np.diff(self.distance) > 0.0).all():
-            raise ValueError("the distances of a path must increase from 0")
+            raise ValueError("the distances along a path must begin with 0, and each must exceed the one before")
 
     @cached_property
     def rows(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
@@ -224,9 +224,9 @@ class Driver(Configurable, ABC):
     def acceleration(self, situation: Situation) -> FloatArray:
         """Return the acceleration along the path for the coming time step.
 
-        In each time step, the method is called once per path, with the mask ``active`` of the scenarios on this path.
-        In all other scenarios, the result is ignored, the situation may belong to a later time, and the state of the
-        driver must not change.
+        In each time step, the method is called once for each path that the driven entity follows in some scenarios; the
+        mask ``Situation.active`` marks these scenarios. In all other scenarios, the result is ignored, the situation
+        may belong to a later time, and the state of the driver must not change.
 
         Parameters
         ----------

@@ -140,8 +140,9 @@ class DrivingFunction(Driver):
 
     A batch is a set of scenarios that are simulated together. `prepare` is called once per batch, before the first
     step. If a search varies some of the `numeric_parameters`, `Start.parameters` has one value per scenario for each
-    of them. `decide` is called once per path in each step, with the mask ``active`` as in `Driver.acceleration`.
-    `release` is called at the end of the batch, also after a failure.
+    of them. In each step, `decide` is called once for each path that the driven entity follows in some scenarios of the
+    batch; the mask ``Situation.active`` marks these scenarios. `release` is called at the end of the batch, also after
+    a failure.
 
     Examples
     --------

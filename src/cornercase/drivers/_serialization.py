@@ -56,7 +56,7 @@ def recorded_options(driver: object) -> Mapping[str, object]:
 def remove_driver_spec(driver: Driver) -> Driver:
     """Remove the stored name and options from a driver, so that simulators treat the driver as an object.
 
-    Simulators run a driver that is given as an object in this process, not in child processes.
+    A simulator runs such a driver in the process that calls the simulator, instead of in child processes.
     """
     vars(_unwrap(driver.driver if isinstance(driver, EquippedDriver) else driver)).pop(_SPEC_ATTRIBUTE, None)
     return driver

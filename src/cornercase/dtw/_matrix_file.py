@@ -209,7 +209,9 @@ def _header_size(path: Path) -> int:
 
 
 def _read_or_create_journal(journal: Path, fingerprint: str) -> dict[tuple[int, int], int]:
-    """Return the checksum of each finished square; the key is the number of its row and of its column, in squares.
+    """Return the checksum of each finished square (block of the matrix), by the square's position (i, j) among all.
+
+    i is the number of squares above it, j the number of squares on its left.
 
     The journal is created if there is none. Raises `InputError` if the journal belongs to other series or settings.
     """

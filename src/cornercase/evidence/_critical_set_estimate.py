@@ -257,7 +257,10 @@ class CriticalSet:
             return self._draw_standardized_errors(self._joint_points[0], 4)
 
     def predict(self, points: FloatArray) -> BoolArray:
-        """Return whether each scenario (n, d) is critical, (n,): as observed if it was run, otherwise as predicted."""
+        """Return whether each of n scenarios is critical, shape (n,); `points` has a row per scenario, shape (n, d).
+
+        A scenario that was run has its observed outcome, any other scenario the predicted one.
+        """
         if not len(points):
             return np.zeros(0, dtype=np.bool_)
         return _is_predicted_critical(

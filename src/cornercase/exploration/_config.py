@@ -147,7 +147,10 @@ class ExplorationConfig(ExplorationOptions):
         return ConcreteScenario(self.logical.path, dict(values), self.logical.file, seed)
 
     def require_entities(self) -> None:
-        """Raise `InputError` if the scenario lacks an entity that a setting names, or `critical_if` names the ego."""
+        """Raise `InputError` if a setting names an entity that the scenario does not have.
+
+        The error is also raised if the condition `critical_if` names the ego, since it can only name other entities.
+        """
         self.logical.scenario_file.require_entity(self.ego, "ego")
         for other in self.others:
             self.logical.scenario_file.require_entity(other, "other")

@@ -26,9 +26,9 @@ _ROUNDING: Final = 1e-9
 
 
 class AskTell:
-    """Interface to an optimizer that is the same for a search in rounds and for a search without rounds.
+    """Interface to an optimizer that is the same for an asynchronous search and for a search that is not asynchronous.
 
-    In a search without rounds, `pending`, shape (p, d), are the points of the p scenarios that are running during
+    In an asynchronous search, `pending`, shape (p, d), are the points of the p scenarios that are running during
     `ask`, with d parameters each.
     """
 

@@ -80,7 +80,10 @@ class ScenarioRunner:
         if condition is not None:
             self._reference_runs = ReferenceRuns(config, condition, references or {}, self.simulate)
             if missing := [name for name in condition.reference_drivers if name not in (references or {})]:
-                raise InputError(f"`references`: there is no simulator in which {missing[0]} drives the ego.")
+                raise InputError(
+                    f"`references`: `critical_if` needs the reference driver {missing[0]}; add a simulator in which"
+                    f" {missing[0]} drives the ego."
+                )
 
     def run_and_score(self, rows: Sequence[ScenarioRecord]) -> Iterator[tuple[int, Any]]:
         """Run scenarios; yield the id and the score of each successful scenario.

@@ -101,11 +101,12 @@ class Evaluation:
         return self.robustness(-np.inf)
 
     def find_decisive_leaf(self) -> tuple[Leaf, int] | None:
-        """Return the bound or statement that decides the robustness of the whole run, and the instant at which it does.
+        """Return the leaf that decides the robustness of the whole run, and the instant at which it does.
 
-        At this instant the margin of the bound or statement equals the robustness, with the opposite sign inside a
-        ``not``. Other instants may have the same margin by chance, so the result is the first instant at which a change
-        of the margin would change the robustness. None if the robustness is infinite.
+        A leaf is a bound (``ttc < 1``) or a statement (``collision``). At this instant the margin of the leaf equals
+        the robustness, with the opposite sign inside a ``not``. Other instants may have the same margin by chance, so
+        the result is the first instant at which a change of the margin would change the robustness. None if the
+        robustness is infinite.
         """
         robustness = self.robustness()[0]
         if not np.isfinite(robustness):
@@ -181,7 +182,7 @@ def evaluate_run(
 
 
 def _is_same_against_all_others(leaf: Leaf) -> bool:
-    """Return whether a bound or statement has the same value against each other entity."""
+    """Return whether a leaf (a bound or a statement) has the same values against each other entity."""
     return not isinstance(leaf, Bound) or all(signal.is_score for signal in leaf.signals)
 
 

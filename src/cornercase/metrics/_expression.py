@@ -143,7 +143,7 @@ class Expression:
 
     @property
     def cap(self) -> float:
-        """Value to which the metric `Stl` limits the robustness: the largest cap of any bound or statement.
+        """Value to which the metric `Stl` limits the robustness: the largest of the caps of its bounds and statements.
 
         If a bound compares a metric with a number, its cap is the distance of the number from the cap of the metric.
         """

@@ -212,7 +212,7 @@ class OtherMotion(FeatureGroup):
 
 
 class PathCrossing(FeatureGroup):
-    """Distance between the nearest points of both paths, and how much later than the other the ego gets there.
+    """Distance between the paths where they come nearest, and arrival time of the ego minus that of the other there.
 
     A pair of points, one on each path, is rated by its distance in m plus 0.1 m for each second between the arrivals of
     both entities. The pair with the least sum counts. So the time decides between pairs that are about equally near.

@@ -26,16 +26,16 @@ class Deduplicator:
         self._remembered |= _point_keys(self._space.snap(points))
 
     def filter(self, points: FloatArray, exclude: FloatArray | None = None) -> FloatArray:
-        """Snap points of the unit cube, shape (n, d), and return the distinct points that can be proposed, in order.
+        """Return those of n points of the unit cube, shape (n, d), that can be proposed, in order and each only once.
 
-        A point can be proposed if it fulfils the constraints of the space, and is neither remembered nor in `exclude`,
-        shape (k, d).
+        First, the points are snapped (moved) to the steps and choices of the parameters. A point can be proposed if it
+        fulfils the constraints of the space, and is neither remembered nor in `exclude`, shape (k, d).
         """
         snapped = self._space.snap(points)
         return self.filter_snapped(snapped[self._space.is_admissible(snapped)], exclude)
 
     def filter_snapped(self, points: FloatArray, exclude: FloatArray | None = None) -> FloatArray:
-        """Do the same as `filter`, for points that are already snapped and fulfil the constraints.
+        """Do the same as `filter`, for points that are already snapped to steps and choices and fulfil the constraints.
 
         Return the distinct points that can be proposed, in order, shape (m, d).
         """

@@ -32,8 +32,9 @@ def find_k_medoids(distances: Distances, k: int, max_iterations: int = 50) -> In
     Returns their indices in ascending order. First, scenarios are added one after the other, each time the scenario
     that lowers this mean most (BUILD: L. Kaufman, P. J. Rousseeuw, "Finding Groups in Data", 1990). Then each scenario
     is assigned to its nearest medoid, and each medoid is replaced by the medoid of the scenarios assigned to it, until
-    nothing changes (H.-S. Park, C.-H. Jun, "A simple and fast algorithm for K-medoids clustering", 2009). For embedded
-    distances k-means is used instead.
+    nothing changes (H.-S. Park, C.-H. Jun, "A simple and fast algorithm for K-medoids clustering", 2009). Both steps
+    need all distances. If `distances` are `EmbeddedDistances` (distances of points that represent the scenarios),
+    k-means groups these points instead, and the scenario nearest to the mean of each group is chosen.
     """
     if isinstance(distances, EmbeddedDistances):
         return distances.medoids(k)

@@ -280,7 +280,7 @@ def summarize_with_collisions(
 
 
 def _count_faults(impacts: Sequence[Sequence[Impact]]) -> dict[str, int]:
-    """Count the scenarios with a collision of the ego by who is at fault for the first collision."""
+    """Count the scenarios in which the ego collides, by who is at fault for the ego's first collision."""
     first = [hits[0].fault for hits in impacts if hits]
     counts = Counter(fault.who for fault in first if fault is not None)
     return {who: counts[who] for who in get_args(Culprit)} if counts else {}

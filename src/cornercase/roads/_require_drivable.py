@@ -98,7 +98,10 @@ def _require_valid_geometry(geometry: ReferenceGeometry, end: float, location: s
 
 
 def _require_bounded_cubics(cubics: tuple[CubicPolynomial, ...], length: float, subject: str) -> None:
-    """Raise `InputError` if the value of a cubic becomes too large before the next cubic, or the `length`, begins."""
+    """Raise `InputError` if a cubic may exceed 10 km in absolute value between its start and its end.
+
+    A cubic ends where the next one starts; the last one ends at `length`, in m.
+    """
     ends = [*(start for start, *_ in cubics), length][1:]
     for (start, *coefficients), end in zip(cubics, ends, strict=False):
         reach = max(min(end, length) - max(start, 0.0), 0.0)

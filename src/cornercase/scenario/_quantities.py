@@ -39,7 +39,10 @@ class Quantity:
 
 
 def _round_range_bound(value: float, half_width: float) -> float:
-    """Round a bound so that a range with this half width is easy to read: to about two digits of the half width."""
+    """Round a bound so that a range with this half width is easy to read.
+
+    The bound is rounded to the decimal place of about the second digit of the half width, to 1 to 6 decimals.
+    """
     digits = 1
     while digits < 6 and half_width * 10**digits < 50.0:
         digits += 1

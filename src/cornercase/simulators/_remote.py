@@ -30,7 +30,7 @@ class RemoteSimulator(Simulator):
         self._local_instance.check_supported(scenario)
 
     def check_runnable(self, concretes: Sequence[ConcreteScenario]) -> None:
-        """Refuse scenarios if the local instance cannot run any of them."""
+        """Raise `InputError` if the local instance finds that none of the scenarios can be run."""
         self._local_instance.check_runnable(concretes)
 
     def close(self) -> None:

@@ -68,8 +68,8 @@ class StopCriterion(StopRule):
         if match["argument"] is not None:
             if match["what"] not in ("missed", *_SIZED_QUANTITIES):
                 raise InputError(
-                    f"{named} '{match['what']}' takes no number in brackets; missed takes a probability, and overlooked"
-                    " and unvisited take a size."
+                    f"{named} '{match['what']}' takes no number in brackets; only missed(PROBABILITY), overlooked(SIZE)"
+                    " and unvisited(SIZE) take one."
                 )
             name = "confidence" if match["what"] == "missed" else "size"
             argument = {name: _check_fraction(match["argument"], named)}

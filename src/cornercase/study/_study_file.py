@@ -727,7 +727,9 @@ class StudyFile:
         return facts, packed
 
     def rounded_recording(self, scenario: int) -> bytes:
-        """Return the recording and the capped courses of one scenario as few bytes, rounded for the report page.
+        """Return the recording of one scenario, and its metrics over time, in the compact format of the report page.
+
+        Numbers are rounded, and values of a metric are limited to its cap.
 
         Parameters
         ----------
@@ -1074,8 +1076,9 @@ class StudyFile:
         Returns
         -------
         list of (int, int)
-            For each scenario that has ended, in the order of arrival: its id, and the number of the first round that
-            the optimizer proposed (or will propose) with knowledge of the result. Empty for a search in rounds.
+            For each scenario that has ended, in the order of arrival: its id, and the number of the first round (set of
+            scenarios that the optimizer proposes at once) that was or will be proposed with knowledge of the result.
+            Empty if the search is not asynchronous.
         """
         if not self.meta.asynchronous:
             return []

@@ -45,9 +45,9 @@ def judge(
         Name of the entity under test.
     other : str or sequence of str
         Entity that the requirement relates the ego to. If there are several, the requirement is judged against each of
-        them. It is failed if it is failed against any entity, and otherwise passed if it is passed against at least
-        one. Of the verdicts with this state, the one with the smallest robustness (margin to a violation) is returned,
-        and its reason names the entity.
+        them. The result is failed if at least one of these verdicts is failed; otherwise passed if at least one is
+        passed; otherwise inconclusive. The returned verdict is the one with this result that has the smallest
+        robustness (margin to a violation). If the verdicts differ, its reason names the entity.
     courses : mapping of str to ndarray of float64, shape (T,), optional
         Courses (values over time) of metrics by name, if they are known already. If there are several other entities,
         only courses of metrics that do not depend on the other entity are used.

@@ -198,10 +198,10 @@ def write_cases_without_events(folder: Path) -> list[Cases]:
 
 
 def write_cases_without_drivers(folder: Path) -> list[Cases]:
-    """Return two of each of the default scenarios, without drivers; write scenario files without drivers to a folder.
+    """Write the files of the default logical scenarios without drivers to a folder; return two concrete ones of each.
 
-    The storyboard alone moves all entities. These scenarios are for simulators that are not deterministic: they are
-    often slow, and their own drivers would act differently in each run.
+    The storyboard alone moves all entities. These scenarios are for simulators that are not deterministic. Such
+    simulators are often slow, and drivers of these simulators would act differently in each run.
     """
     x_intersection = examples_folder() / "x_intersection" / "x_intersection.xosc"
     deceleration = examples_folder() / "r157" / "deceleration.xosc"

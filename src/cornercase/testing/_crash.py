@@ -66,7 +66,8 @@ def crash_during_runs(simulator: str, concrete: ConcreteScenario, ego: str) -> S
     """
     if "start" in declared_options(SIMULATORS.get_class(simulator)) and "start=" not in simulator:
         raise NotTriedError(
-            "The simulator's server was not started by cornercase; give the command that starts it as option start."
+            "The simulator's server was not started by cornercase; set the simulator's option `start` to the command"
+            " that starts the server."
         )
     own = psutil.Process()
     others = {process.pid for process in own.children(recursive=True)}

@@ -62,7 +62,7 @@ class Reaper:
         self._lock = threading.Lock()
 
     def watch_process(self, process_id: int) -> None:
-        """End a process and its children when this process dies."""
+        """Make the reaper end the process `process_id` and its children when the calling process ends or is killed."""
         self._set_guarded("process", str(process_id), is_guarded=True)
 
     def release_process(self, process_id: int) -> None:
@@ -73,7 +73,7 @@ class Reaper:
     def watch_new_processes(self) -> Iterator[None]:
         """Watch all processes that any thread starts within the block, and their children.
 
-        They are ended when this process dies. Blocks may overlap.
+        The reaper ends them when the calling process ends or is killed. Blocks may overlap.
         """
         self._set_guarded("mark", self._mark, is_guarded=True)
         # Processes inherit the mark, even if their parent dies.

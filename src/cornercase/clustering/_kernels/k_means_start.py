@@ -23,11 +23,11 @@ _BLOCK_SIZE = 128
 def choose_centers(points, cells, first, random_numbers):
     """Choose k points as initial centres by greedy k-means++, and return their indices; the first index is `first`.
 
-    `points` have shape (n, stages, AXES): coordinates in groups of `AXES_PER_STAGE` axes. `cells` are the cells that
-    `make_cells` makes of these points. `random_numbers`, shape (k - 1, trials), are in [0, 1): each row chooses one
-    more centre, so k is one more than the number of rows. Each number in the row draws a candidate; the probability of
-    a point is proportional to its squared distance to the nearest centre. The candidate that lowers the sum of these
-    squared distances most becomes the centre. If candidates are tied, the first of them is chosen.
+    `points`, shape (n, stages, AXES_PER_STAGE), have their coordinates in groups of `AXES_PER_STAGE` axes. `cells` are
+    the cells that `make_cells` makes of these points. `random_numbers`, shape (k - 1, trials), are in [0, 1): each row
+    chooses one more centre, so k is one more than the number of rows. Each number in the row draws a candidate; the
+    probability of a point is proportional to its squared distance to the nearest centre. The candidate that lowers the
+    sum of these squared distances most becomes the centre. If candidates are tied, the first of them is chosen.
     """
     n, k = len(points), len(random_numbers) + 1
     n_blocks = -(-n // _BLOCK_SIZE)

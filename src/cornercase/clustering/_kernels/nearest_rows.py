@@ -15,10 +15,12 @@ from cornercase.clustering._cells import CELL_SIZE, MARGIN, fill_squares_to_cent
 
 @kernel(error_model="numpy")
 def fill_nearest_rows(columns, cells, result):
-    """Write the indices of the k rows nearest to each column, the nearest first, to `result`, shape (m, k).
+    """Find the k points of one set that are nearest to each point of another set.
 
-    Rows and columns are points. `columns` have shape (m, stages, AXES): coordinates in groups of `AXES_PER_STAGE` axes.
-    `cells` are the cells that `make_cells` makes of the rows; there are at least k rows.
+    The points to find are those of `cells`, made by `make_cells`, at least k points; they are the rows of a distance
+    matrix. The others are its columns: `columns`, shape (m, stages, AXES_PER_STAGE), has the coordinates of m points in
+    groups of `AXES_PER_STAGE` axes. The indices of the nearest rows, the nearest first, are written to `result`, shape
+    (m, k).
     """
     n_nearest, n_cells = result.shape[1], len(cells.indices)
     to_centers, to_members, bounds = np.empty(n_cells), np.empty(CELL_SIZE), np.empty(CELL_SIZE)

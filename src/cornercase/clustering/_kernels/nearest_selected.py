@@ -12,11 +12,12 @@ from cornercase._common.numba.kernel import kernel
 
 @kernel(error_model="numpy")
 def fill_nearest_distances(rows, columns, nearest_rows, choices, result):
-    """Write to `result`, shape (choices, m), the squared distance of each column to the nearest chosen row.
+    """For several selections of points, compute the squared distance of other points to the nearest selected point.
 
-    Rows and columns are points: `rows`, shape (n, p), and `columns`, shape (m, p), are their coordinates. `choices` has
-    several alternative choices, one per line, as indices of `rows`. `nearest_rows`, shape (m, k), are the indices of
-    the k rows nearest to each column, the nearest first.
+    `rows`, shape (n, p), are the coordinates of the points that can be selected; `columns`, shape (m, p), those of the
+    other points. Each of the c rows of `choices` is one selection: indices into `rows`. The result for each selection
+    is written to a row of `result`, shape (c, m). `nearest_rows`, shape (m, k), has for each point in `columns` the
+    indices of the k nearest points in `rows`, the nearest first.
     """
     is_chosen = np.zeros(len(rows), dtype=np.bool_)
     for draw in range(len(choices)):

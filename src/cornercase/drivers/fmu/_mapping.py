@@ -48,7 +48,8 @@ class MappedVariable:
     unit : str
         Unit that the FMU declares, or the unit that is assumed if the FMU declares none.
     source : str
-        Quantity that an input is given, decision that an output makes, or value of a parameter; empty if unused.
+        For an input, the quantity or number that cornercase writes to it; for an output, the decision of the driver
+        that cornercase reads from it; for a parameter, the value that was given. Empty if the variable is not used.
     remark : str
         Note about the variable, such as the start value that an unused input keeps; may be empty.
 

@@ -28,9 +28,10 @@ TIME_TOLERANCE: Final = 1e-6
 
 
 class LeafValues(NamedTuple):
-    """Margin and truth (1 or -1) of a bound or statement at each of T instants, shape (T,); NaN if undefined.
+    """Margin and truth (1 or -1) of a bound (``ttc < 1``) or a statement (``collision``) at each of T instants.
 
-    `is_known` is False for a bound that is undefined at all instants, and for a statement that the run does not decide.
+    Both arrays have the shape (T,), with NaN where a bound is undefined. `is_known` is False if a bound is undefined at
+    all instants, or if it is unknown whether a statement is true, for example without the run of a reference driver.
     """
 
     margin: FloatArray
@@ -39,7 +40,7 @@ class LeafValues(NamedTuple):
 
 
 def evaluate_leaf(leaf: Leaf, signals: Signals) -> LeafValues:
-    """Compute margin and truth of a bound or statement at each instant.
+    """Compute margin and truth of a bound (``ttc < 1``) or a statement (``collision``) at each instant.
 
     Raises InputError if a statement needs a recording and the signals have none.
     """

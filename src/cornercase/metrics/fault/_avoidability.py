@@ -106,9 +106,9 @@ def find_foreseeable_dangers(
 
 
 def can_brake(party: Party, partner: Party, noticed: float) -> bool:
-    """Return whether a careful and competent driver avoids the partner after noticing the danger.
+    """Return whether a careful and competent driver of `party` avoids a collision with `partner` by braking.
 
-    `noticed` is the time in s at which the driver notices the danger.
+    `noticed` is the time in s at which the driver notices the danger. Braking begins after a reaction time.
     """
     return _avoids(party, partner, noticed, REACTION_TIME)
 

@@ -209,7 +209,7 @@ class _SituationRecorder(DrivingFunction):
         self._start = start
 
     def decide(self, situation: Situation) -> Controls:
-        """Store the first situation, and keep the speed."""
+        """Store the first situation; return controls with which the ego keeps its speed."""
         if self.given is None:
             self.given = self._start, situation
         return Controls.from_acceleration(np.zeros(len(situation.active)))

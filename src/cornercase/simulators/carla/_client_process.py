@@ -92,9 +92,9 @@ class ClientProcess:
                     f" {PYTHON_VARIABLE} to the Python of ScenarioRunner's environment."
                 )
             raise InputError(
-                f"{self._python}: CARLA's client is not installed there; get the version of your CARLA, for example by"
-                f" `{self._python} -m pip install carla==0.9.15`, or set {PYTHON_VARIABLE} to the Python of"
-                " ScenarioRunner's environment."
+                f"{self._python}: CARLA's client is not installed there; install the version that matches your CARLA,"
+                f" for example by `{self._python} -m pip install carla==0.9.15`, or set {PYTHON_VARIABLE} to the Python"
+                " of ScenarioRunner's environment."
             )
         raise SimulatorError(f"CARLA's client {describe_exit_code(code)}{f': {last[:300]}' if last else ''}")
 

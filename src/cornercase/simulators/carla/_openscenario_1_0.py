@@ -516,9 +516,8 @@ def _add_final_speeds(root: etree._Element, scenario: ScenarioFile, notes: list[
         final_speed = action.find("FinalSpeed")
         if final_speed is not None and final_speed.find("*/SteadyState") is not None:
             raise InputError(
-                f"{scenario.path}, line {action.sourceline}: <SynchronizeAction> has a steady state, which OpenSCENARIO"
-                f" 1.0,"
-                " the version that ScenarioRunner reads, does not have; remove it from its <FinalSpeed>."
+                f"{scenario.path}, line {action.sourceline}: <FinalSpeed> of <SynchronizeAction> has a steady state;"
+                " remove the steady state, since ScenarioRunner reads OpenSCENARIO 1.0, which has none."
             )
         if final_speed is not None:
             continue

@@ -101,7 +101,8 @@ def _find_scenario_runner_folder(explicit_folder: str) -> Path:
     text = explicit_folder or os.environ.get(RUNNER_VARIABLE, "")
     if not text:
         raise InputError(
-            f"ScenarioRunner is not found; get the version of your CARLA, for example {describe_download('0.9.15')}."
+            "ScenarioRunner is not found; get the version that matches your CARLA, for example 0.9.15"
+            f" {describe_download('0.9.15')}."
         )
     folder = Path(text)
     if not (folder / "scenario_runner.py").is_file():

@@ -214,7 +214,7 @@ def _restore_sender_paths(text: str, sender_folders: Mapping[str, str]) -> str:
 
 
 def forget_task(task_id: TaskId, client: Client) -> None:
-    """Remove the marks that lost workers have left for a task at the Dask scheduler."""
+    """Remove the marks of a task, stored at the Dask scheduler, that count the workers lost while they ran the task."""
     from distributed import Event
 
     for life in range(task_id.lives):

@@ -55,8 +55,8 @@ class Condition:
     """A condition of a trigger, with its edge and with its delay in s in each scenario.
 
     `test` takes the world and a mask of scenarios, and returns whether the condition holds in each scenario. `edge` is
-    ``"none"``, ``"rising"``, ``"falling"`` or ``"risingOrFalling"``. With a delay, the condition has the value that it
-    would have had `delay` s earlier without this delay.
+    ``"none"``, ``"rising"``, ``"falling"`` or ``"risingOrFalling"``. A delay makes the condition become true, and false
+    again, `delay` s later.
     """
 
     def __init__(self, test: Test, edge: str, delay: FloatArray) -> None:
