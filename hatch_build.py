@@ -17,7 +17,7 @@ from typing import Any
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 # Prints for which levels of its processor this machine can compile.
-LEVELS = "from cornercase._common.numba.shipped import runnable_levels; print(*runnable_levels())"
+LEVELS = "from cornercase._common.numba.shipped import list_runnable_cpu_levels; print(*list_runnable_cpu_levels())"
 
 
 class CompileKernels(BuildHookInterface[Any]):

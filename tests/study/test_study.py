@@ -405,7 +405,7 @@ def test_what_an_earlier_version_did_not_write_is_noted_when_the_search_goes_on(
     limit = ParameterDeclaration("a", "double", "0", ((Constraint("lessThan", "5"),),))
     declared = [limit, ParameterDeclaration("b", "double", "0")]
     known = replace(META, space=ParameterSpace(SPACE.parameters, declared), critical=0.5)
-    study.writer.resume(known)
+    study.writer.check_and_update_meta(known)
     study.close()
     with StudyFile.open(study.path, readonly=False) as again:
         assert again.meta == known

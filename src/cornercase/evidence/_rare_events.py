@@ -64,7 +64,7 @@ class ImportanceSampling:
         n_events: int,
         max_learning_scenarios: int,
         seed: int,
-        fit_initial_proposal: TMixture | None = None,
+        initial_proposal: TMixture | None = None,
     ) -> None:
         self._space, self._events, self._learn, self._seed = space, n_events, max_learning_scenarios, seed
         self._first_round_size = max(_MIN_ROUND_SIZE, round(_FIRST_ROUND_FRACTION * max_learning_scenarios))
@@ -73,7 +73,7 @@ class ImportanceSampling:
         self._met = np.zeros((0, n_events), dtype=np.bool_)
         self._plain_distribution = TMixture.normal_around_zero(space.dimension)
         self._wide = [TMixture.normal_around_zero(space.dimension, deviation) for deviation in _WIDE_DEVIATIONS]
-        self._earlier = [] if fit_initial_proposal is None else [fit_initial_proposal]
+        self._earlier = [] if initial_proposal is None else [initial_proposal]
         self._proposal, self._drawn = self._plain_distribution, list[tuple[int, TMixture]]()
         self._rounds, self._ready, self._frozen, self._is_plain = 0, 0, False, False
         self._factor: tuple[float, float] | None = None

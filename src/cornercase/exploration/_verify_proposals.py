@@ -42,9 +42,9 @@ def _find_first_difference(study: StudyFile, objective: Objective, optimizer: Op
         optimizer.warm_start(*warm_start)
     search = AskTell(optimizer, study.space, study.meta.asynchronous)
     rows = study.rows()
-    read_stored_options = study.space.values(np.array([row.point for row in rows]).reshape(-1, study.space.dimension))
+    stored_values = study.space.values(np.array([row.point for row in rows]).reshape(-1, study.space.dimension))
     if mismatch := next(
-        (row.id for row, values in zip(rows, read_stored_options, strict=True) if dict(row.values) != values), None
+        (row.id for row, values in zip(rows, stored_values, strict=True) if dict(row.values) != values), None
     ):
         return mismatch
     proposer, done = ProposalSource(search, study), 0

@@ -61,7 +61,7 @@ class DriverControl:
         self._others_name = tuple(other.name for other in self._others)
         self._paths: dict[int, DrivenPath] = {}
         self._sampled_versions: dict[int, int] = {}
-        self._to_driver_error: DriverError | None = None
+        self._failure: DriverError | None = None
         if self.in_fleet:
             self._join_fleet()
 
@@ -77,14 +77,14 @@ class DriverControl:
             self.driver = self.attached_driver.driver
         except DriverError as failure:
             # The fleet needs a started driver.
-            self._to_driver_error = failure
+            self._failure = failure
             built_in = next(base for base in type(driver).__mro__ if is_built_in(base) and issubclass(base, Driver))
             built_in.start(driver, self._world.scenarios, len(self._others))
 
     def reset_driver(self) -> None:
         """Reset the driver when the batch starts; raises `DriverError` if a user's driver fails."""
-        if self._to_driver_error is not None:
-            raise self._to_driver_error
+        if self._failure is not None:
+            raise self._failure
         if not self.in_fleet:
             self.attached_driver.start(self._make_start())
 

@@ -155,7 +155,7 @@ class ClothoidSpline(Trajectory):
             best = np.clip(best + (x - at_x) * np.cos(heading) + (y - at_y) * np.sin(heading), 0.0, self.lengths[rows])
         return best
 
-    def copy_rows_from(self, other: Trajectory, rows: BoolArray) -> None:
+    def copy_scenarios_from(self, other: Trajectory, rows: BoolArray) -> None:
         super().copy_scenarios_from(other, rows)
         self._sample_chords()
 

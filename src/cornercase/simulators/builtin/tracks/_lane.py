@@ -84,7 +84,7 @@ class LaneTrack(Track):
         path, start = self.path, np.full(len(x), -np.inf) if after is None else after
         return np.asarray(project_on_lane_path(path.array_addresses, path.x.size, path.max_chord, x, y, start))
 
-    def nearby_distance(self, x: FloatArray, y: FloatArray, rows: IntArray, before: FloatArray) -> FloatArray:
+    def project_moving_point(self, x: FloatArray, y: FloatArray, rows: IntArray, before: FloatArray) -> FloatArray:
         along = locate_on_path(driven_path(self.path), before, x, y, np.zeros_like(x), np.zeros_like(x)).along
         return np.minimum(np.maximum(along, 0.0), self.length)
 

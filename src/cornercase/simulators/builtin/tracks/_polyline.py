@@ -78,7 +78,7 @@ class Polyline(Trajectory):
             self.x, self.y, self.heading, self._time, self.vertex_headings, self.speeds, self.accelerations
         )
 
-    def copy_rows_from(self, other: Trajectory, rows: BoolArray) -> None:
+    def copy_scenarios_from(self, other: Trajectory, rows: BoolArray) -> None:
         super().copy_scenarios_from(other, rows)
         self._update_uniformity()
 
