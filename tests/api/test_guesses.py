@@ -432,7 +432,7 @@ def test_scores_that_are_all_the_same_are_said_to_be(tmp_path):
 def test_failures_from_the_first_scenario_on_say_how_to_look_at_them(tmp_path):
     study = cc.Study.create(tmp_path / "s.db", problem_of(X, metrics=[Scalar()], threshold=2.0))
     with pytest.raises(
-        cc.InputError, match=r"`runs=Runs\(max_failures=…\)` is the limit, and 0 means that failed scenarios"
+        cc.InputError, match=r"`runs=Runs\(max_failures=…\)` is the limit, and with 0 the search goes on"
     ):
         study.explore("sobol", budget=8)
     assert not study.path.exists()
@@ -449,7 +449,9 @@ def test_a_bad_scenario_fails_alone():
 
 
 def test_what_has_no_items_says_what_to_use(many):
-    with pytest.raises(TypeError, match=r"create\('wttc'\) makes the metric, and get_class\('wttc'\) is its class"):
+    with pytest.raises(
+        TypeError, match=r"create\('wttc'\) makes the metric, and get_class\('wttc'\) returns its class"
+    ):
         loose.metrics.METRICS["wttc"]
     measured: Any = cc.measure(many.recording(1), "Ego", "Pedestrian", ["wttc"])
     with pytest.raises(TypeError, match=r"use scores\['wttc'\], courses\['wttc'\] or units\['wttc'\]"):

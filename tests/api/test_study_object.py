@@ -168,12 +168,12 @@ def test_an_export_is_imported_again(explored, tmp_path):
     same = ["ego_start", "pedestrian_wait", "p1_speed", "wttc", "critical", "collision"]
     pd.testing.assert_frame_equal(imported.table()[same], explored.table()[same])
     with pytest.raises(
-        cc.InputError, match=r"imported recordings, .* so there is no search problem; `summary` says what"
+        cc.InputError, match=r"imported recordings instead of runs .* so it has no search problem; `summary` says what"
     ):
         _ = imported.problem
     for folder, table, says in (
         ("tables/recordings", None, f"name the folder above, {tmp_path / 'tables'}, which has one"),
-        ("tables/recordings", tmp_path / "tables" / "scenarios.csv", f"name the folder {tmp_path / 'tables'}, whose"),
+        ("tables/recordings", tmp_path / "tables" / "scenarios.csv", f"name the folder {tmp_path / 'tables'}, which has"),
     ):
         with pytest.raises(cc.InputError, match=says):
             cc.import_recordings(tmp_path / folder, tmp_path / "again.db", table=table, **given)

@@ -229,7 +229,7 @@ def test_the_page_of_settings_changes_no_clusters(demo, tmp_path):
         assert f"--explore-settings, {given[0]}: give only one of them" in ended.stderr
     ended = cornercase("analyze", study, "--by", "wttc", "--explore-settings", tmp_path / "settings.txt")
     assert (ended.returncode, ended.stderr.count("\n")) == (2, 1)
-    assert "name a file that ends with .html" in ended.stderr
+    assert "give a file name that ends with .html" in ended.stderr
     ended = cornercase("analyze", study, "--by", "wttc", "--explore-settings", study)
     assert ended.returncode == 2
 

@@ -95,7 +95,7 @@ def test_a_folder_that_cannot_be_imported_is_named_with_what_it_lacks(tmp_path):
         done = cornercase("import", folder, *given)
         assert done.returncode == 2
         assert words in done.stderr
-    assert "or name it with --parameters" in done.stderr
+    assert "or name another table with --parameters" in done.stderr
     assert not list(tmp_path.iterdir())
 
 

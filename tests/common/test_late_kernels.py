@@ -67,5 +67,5 @@ def test_interpreted_kernels_need_no_address():
 def test_other_types_than_those_of_the_call_are_refused():
     kernels, table = late_kernels()
     kernels.compile_needed([ADD], table, types.float64)
-    with pytest.raises(TypeError, match="but also with"):
+    with pytest.raises(TypeError, match="but earlier with"):
         late_kernels()[0].compile_needed([ADD], table, types.int64)

@@ -129,7 +129,7 @@ def test_a_class_of_the_user_has_the_mutants_that_it_declares(own_module):
     assert all(mutant.driver.count("reaction=") == 1 for mutant in given)
     with pytest.raises(InputError, match="declares none"):
         generate_mutants("mutated_aeb:Bare", 2)
-    with pytest.raises(InputError, match="'sight', which is no option"):
+    with pytest.raises(InputError, match="'sight', but its constructor has no option"):
         generate_mutants("mutated_aeb:Wrong", 2)
 
 

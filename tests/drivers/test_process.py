@@ -231,7 +231,7 @@ def test_a_command_that_would_be_taken_for_sensors_says_to_quote_it(folder, comm
 def test_a_file_never_names_a_program(folder):
     for name in ("exec:./f", "exec:./f:timeout=2", "exec:evil=1", "exec:5", "exec", "exec:tcp://host:5"):
         assert not may_be_named_in_file(name)
-        with pytest.raises(InputError, match="a program that a file names is not run"):
+        with pytest.raises(InputError, match="a program named in a file is not run"):
             create_driver_named_in_file(name)
     cut_in = X.parents[1] / "r157" / "cut_in.xosc"
     scenario = folder / cut_in.name
@@ -243,13 +243,13 @@ def test_a_file_never_names_a_program(folder):
     (folder / "study.toml").write_text('driver = ["Ego=exec:touch pwned"]\n')
     explored = cornercase("explore", X, "--config", folder / "study.toml", "-o", folder / "s.db")
     assert explored.returncode == 2
-    assert "a program that a file names is not run" in explored.stderr
+    assert "a program named in a file is not run" in explored.stderr
     condition = cornercase(
         "explore", X, "--range", "pedestrian_wait=0:5", "--ego", "Ego", "--other", "Pedestrian", "--driver", "Ego=normal",
         "--metric", "ttc", "--critical-if", "collision and not reference:exec:./pwned", "--budget", 2, "-o", folder / "s.db",
     )  # fmt: skip
     assert condition.returncode == 2
-    assert "no condition may name" in condition.stderr
+    assert "a condition must not run one" in condition.stderr
     assert not (folder / "pwned").exists()
 
 
@@ -596,7 +596,7 @@ def test_a_program_that_lists_no_options_gets_all_but_misspelt_ones_of_cornercas
         ("start_timout", "start_timeout"),
         ("mutatons", "mutations"),
     ):
-        with pytest.raises(InputError, match=f"has the option '{option}', .* did you mean '{meant}'"):
+        with pytest.raises(InputError, match=f"has the option '{option}'; .* did you mean '{meant}'"):
             run(f"{answering(folder, code)}:{option}=3", 0.0)
     code = "class F(client.Function):\n    def step(self, view, dt): return 0.0\nclient.serve(lambda **options: F())"
     run(f"{answering(folder, code)}:start_time=3,lag=1,limit=2", 0.0, duration=1.0)

@@ -177,7 +177,7 @@ def test_failed_scenarios_do_not_count_and_too_few_say_nothing():
     )
     assert estimates(with_failed) == estimates(without)
     for few in (scores[:9], np.ones(20)):
-        with pytest.raises(ValueError, match="10 different scores"):
+        with pytest.raises(ValueError, match="10 scores that are not all the same"):
             CriticalSet(CUBE, points[: len(few)], few, Criterion(THRESHOLD))
 
 

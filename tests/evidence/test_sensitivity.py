@@ -52,7 +52,7 @@ def test_a_parameter_is_of_little_influence_only_where_trees_agree():
 def test_nothing_is_said_of_too_few_or_of_one_score():
     points = qmc.Sobol(3, seed=0).random(32)
     for scores in (np.where(np.arange(32) < 9, np.arange(32.0), np.nan), np.ones(32)):
-        with pytest.raises(ValueError, match="10 different"):
+        with pytest.raises(ValueError, match="10 scores that are not all the same"):
             estimate_sensitivity(CUBE, points, scores)
 
 

@@ -77,7 +77,7 @@ def test_commonroad_scenarios(tmp_path):
             + f"</polygon></shape>{state('initialState', '60.0', '0.0', 0, 5.0)}"
             + f"<trajectory>{state('state', '60.5', '0.0', 1, 5.0)}</trajectory></dynamicObstacle>",
             "",
-            "obstacle 7 is a Polygon",
+            "obstacle 7 has the shape Polygon",
         ),
     ],
 )

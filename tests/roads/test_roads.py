@@ -155,7 +155,7 @@ def test_all_lanes_of_roads_of_others_join(each):
             "above 0",
         ),
         ('id="1" length="500"', 'id="1" length="nan"', "finite"),
-        ("<line/>", "<wave/>", "not a line, arc"),
+        ("<line/>", "<wave/>", "has no <line>, <arc>"),
         ('x="0"', 'x="NaN"', "finite"),
     ],
 )

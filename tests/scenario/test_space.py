@@ -240,7 +240,7 @@ def test_bad_distributions_are_refused_by_file_and_parameter(tmp_path, law):
     ("body", "says"),
     [
         ("", "the file varies no parameter"),
-        ('<Deterministic><DeterministicMultiParameterDistribution/></Deterministic>', "must set the same parameters"),
+        ('<Deterministic><DeterministicMultiParameterDistribution/></Deterministic>', "all must set the same ones"),
         (2 * '<Deterministic><DeterministicSingleParameterDistribution parameterName="a"><DistributionSet><Element '
          'value="1"/></DistributionSet></DeterministicSingleParameterDistribution></Deterministic>', "a is varied twice"),
         ('<Deterministic><DeterministicSingleParameterDistribution parameterName="a"><DistributionRange stepWidth="x">'

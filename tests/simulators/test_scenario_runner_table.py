@@ -435,7 +435,7 @@ def test_who_would_have_to_react_to_an_agent_and_cannot_is_refused_before_the_ru
 def test_on_a_map_of_carla_what_needs_a_trajectory_is_refused(write, tmp_path):
     path = write(action=OFFSET)
     path.write_text(path.read_text().replace('filepath="road.xodr"', 'filepath="Town01"'))
-    with pytest.raises(InputError, match=r"cannot move 'Other' like that \(<LaneOffsetAction>.*Town01"):
+    with pytest.raises(InputError, match=r"cannot execute the motion of 'Other' \(<LaneOffsetAction>.*Town01"):
         convert(path, tmp_path / "one.xosc", ego="Ego")
 
 

@@ -61,7 +61,9 @@ def test_a_simulator_that_cannot_run_is_none():
 @pytest.mark.parametrize("what", [Duck, lambda **options: Least()])
 def test_what_subclasses_nothing_is_refused_in_one_sentence(what):
     registry: Registry[Simulator] = Registry("simulator", "cornercase.none", Simulator)
-    with pytest.raises(InputError, match=r"'duck' is .*not a subclass of cornercase\.simulators\.Simulator; derive it"):
+    with pytest.raises(
+        InputError, match=r"'duck' is .*not a subclass of cornercase\.simulators\.Simulator; register a subclass"
+    ):
         registry.register("duck", what)
 
 
