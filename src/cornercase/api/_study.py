@@ -703,7 +703,7 @@ class Study(PathLike[str]):
         next_to : int, optional
             Id of a second scenario, shown at the same time beside the first.
         fps : float, optional
-            Frames per second of a film, at most 60; default: 25 for MP4, 10 for GIF.
+            Frames per second of a film: for MP4 at most 60, by default 25; for GIF at most 50, by default 10.
         speed : float, default 1
             Speed of a film: 0.5 shows 1 s of the recording in 2 s.
         threshold : float, optional

@@ -55,8 +55,8 @@ class ScenarioRunner:
 
     If a scenario is run several times, the run with the median score is stored (of two middle runs, the more critical
     one), together with the scores of all runs. Failed runs are ignored unless all failed. Extra repeats begin when
-    all scenarios of the round have had their first repeats. If the condition depends on reference drivers, the
-    scenarios of a round are stored when all of them and their reference runs have ended. `references` are simulators in
+    all scenarios of the round have had their first repeats. Scenarios of a round that must be run with reference
+    drivers before the condition is decided are stored when all these runs have ended. `references` are simulators in
     which a reference driver drives the ego, by name of the driver.
     """
 

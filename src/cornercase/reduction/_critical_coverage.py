@@ -166,7 +166,7 @@ def check_similarity(share: float) -> None:
 
 
 def _has_neighbour_among(points: FloatArray, is_other: BoolArray) -> BoolArray:
-    """Mark each point that has, among its 2 d nearest neighbours, at least one point marked by `is_other`."""
+    """Mark each point for which `is_other` marks the point itself or at least one of its 2 d nearest neighbours."""
     count = min(2 * points.shape[1], len(points) - 1)
     if count < 1:
         return np.zeros(len(points), dtype=np.bool_)

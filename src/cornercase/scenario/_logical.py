@@ -251,7 +251,8 @@ class LogicalScenario:
         low, high : float
             Bounds of the range, in the parameter's unit. Equal bounds fix the parameter: each scenario has this value.
         step : float, optional
-            Distance between successive values; by default all values between the bounds are possible.
+            Distance between successive values. By default all values between the bounds are possible that the declared
+            type of the parameter allows, such as all integers.
 
         Returns
         -------

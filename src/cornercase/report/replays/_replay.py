@@ -61,8 +61,8 @@ def replay(
     beside : int, optional
         Id of another scenario, which is shown beside the first one at the same time of simulation.
     fps : float, optional
-        Frames per second of a film, at most 60. By default 25 for MP4 and 10 for GIF. Frames of a GIF last whole
-        hundredths of a second.
+        Frames per second of a film: for MP4 at most 60, by default 25; for GIF at most 50, by default 10. Frames of a
+        GIF last whole hundredths of a second.
     speed : float, default 1
         Speed of a film: 0.5 shows 1 s of the recording in 2 s.
     scenario : path or ScenarioFile, optional
