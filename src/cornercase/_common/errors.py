@@ -130,7 +130,10 @@ class StudyLostError(RuntimeError):
 
 
 class RunLostError(SimulatorError):
-    """Simulation that was ended by a signal, lack of memory or a full disk; the scenario may be run again."""
+    """Simulation that was ended by a signal, the loss of a worker, or a fault of the machine, such as a full disk.
+
+    The scenario may be run again.
+    """
 
 
 class NoticeWarning(UserWarning):

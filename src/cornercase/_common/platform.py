@@ -186,7 +186,10 @@ def add_library_folder(folder: Path) -> None:
 
 
 def load_c_library() -> ctypes.CDLL:
-    """Return the C library of this process, which has functions such as ``calloc`` and ``free``."""
+    """Return a C library, which has functions such as ``calloc`` and ``free``.
+
+    This is the C library of this process; on Windows it is ``msvcrt``, while Python itself uses another one.
+    """
     return ctypes.CDLL("msvcrt" if _WINDOWS else None)
 
 

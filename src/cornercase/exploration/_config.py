@@ -377,7 +377,10 @@ def read_logical_scenario(study: StudyFile, scenario: Path | str | ScenarioFile 
 
 
 def read_study_metrics(meta: StudyMeta) -> tuple[str | Metric, ...]:
-    """Return the names of a study's metrics; for a metric of unknown class, an object with the stored description."""
+    """Return the names of a study's metrics, without the metric of its condition.
+
+    For a metric of unknown class, return an object with the stored description instead of the name.
+    """
     names = meta.metrics[1:] if meta.condition else meta.metrics
     return tuple(name if name.partition(":")[0] in METRICS else meta.create_metric(name) for name in names)
 

@@ -150,7 +150,7 @@ class Metric(Configurable, ABC):
         Returns
         -------
         float
-            In the metric's unit; finite.
+            In the metric's unit; infinite if the course is infinitely critical and `bound` is None.
         """
         values = self.clip_course(course)
         return float(values.min() if self.lower_is_critical else values.max())

@@ -133,6 +133,7 @@ class Summary:
         Clustering by aspect (what the scenarios are compared by).
     agreements : mapping of (str, str) to Agreement
         Agreement of the clusterings by two aspects, for each pair of aspects by which the same scenarios were analyzed.
+        A pair is left out if both clusterings have a single cluster or only noise.
     seconds_by_stage : mapping of str to float
         Time spent by stage, in s.
     estimates : SpaceEstimates

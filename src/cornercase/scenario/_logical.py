@@ -139,7 +139,8 @@ class LogicalScenario:
     space : ParameterSpace
         Varied parameters and their ranges.
     fingerprint : str
-        SHA-256 of the scenario file, its catalogs, and all road files that the scenario or the space names.
+        SHA-256 of the scenario file, its catalogs, its file of openPASS profiles, and all road files that the scenario
+        or the space names.
     file : ScenarioFile, optional
         The parsed file.
 

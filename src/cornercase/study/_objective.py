@@ -103,7 +103,7 @@ class Objective:
         return np.asarray(values if self.pareto else values[:, 0])
 
     def minimized_scores(self, study: StudyFile) -> FloatArray:
-        """Return the values that the optimizer minimizes, for the n scenarios of a study that did not fail.
+        """Return the values that the optimizer minimizes, for the n scenarios that ran without failing.
 
         The result has shape (n,), or (n, metrics) for a Pareto front.
         """

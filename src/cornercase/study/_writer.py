@@ -45,7 +45,8 @@ _MUTABLE_FIELDS: Final = ("space", "critical", "budget", "kinds", "requirements"
 class StudyWriter:
     """Writer of scenarios and results into an open study.
 
-    Each method is one transaction, and raises `InputError` if writing is impossible.
+    Each method is one transaction. It raises `StudyLostError` if the study was removed, replaced or taken over, and
+    `InputError` if writing is impossible for another reason.
     """
 
     def __init__(self, study: StudyFile, database: Database) -> None:

@@ -114,7 +114,10 @@ def _format_seconds(seconds: float) -> str:
 
 
 def format_setting(value: Any) -> str:
-    """Format the value of a setting without Python syntax; an absolute path is cut to its file name."""
+    """Format the value of a setting, without the syntax of Python's dictionaries and lists.
+
+    An absolute path is cut to its file name, except in a list.
+    """
     if isinstance(value, dict):
         return ", ".join(f"{name}: {format_setting(item)}" for name, item in value.items())
     if isinstance(value, list | tuple):

@@ -96,9 +96,10 @@ def _position_after_lateral_step(world: World, entity: int) -> tuple[FloatArray,
 
 
 def free_space_to_entity(world: World, entity: int, other: int, distance: FloatArray) -> FloatArray:
-    """Return the free space in m along the lane between the bounding boxes of two entities.
+    """Return the free space in m between the bounding boxes of two entities, along the same line as `distance`.
 
-    `distance` is that from the reference point of `entity` to the reference point of `other`; negative if behind.
+    `distance` is that from the reference point of `entity` to the reference point of `other`, along a track or roads.
+    Both values are negative if `other` is behind.
     """
     own_box, other_box = world.entities[entity], world.entities[other]
     fronts = [0.5 * box.length + box.center_x for box in (own_box, other_box)]
