@@ -56,7 +56,8 @@ def assign_controllers(
     """Assign controllers to entities that ScenarioRunner's own controls cannot move; return the controllers' files.
 
     Entities with an initial route get a controller of cornercase, since ScenarioRunner does not execute routes. An ego
-    that another program drives always gets ScenarioRunner's controller that does nothing.
+    that another program drives gets ScenarioRunner's controller that does nothing, and no route.
+
     `trajectories`: properties of the controllers that move entities along trajectories, by entity. `source` names the
     scenario in messages.
     """

@@ -99,7 +99,7 @@ def free_space_to_entity(world: World, entity: int, other: int, distance: FloatA
     """Return the free space in m between the bounding boxes of two entities, along the same line as `distance`.
 
     `distance` is that from the reference point of `entity` to the reference point of `other`, along a track or roads.
-    Both values are negative if `other` is behind.
+    Both values are negative if `other` is behind. The free space is 0 if the boxes touch or overlap.
     """
     own_box, other_box = world.entities[entity], world.entities[other]
     fronts = [0.5 * box.length + box.center_x for box in (own_box, other_box)]
