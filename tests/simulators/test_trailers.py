@@ -63,6 +63,21 @@ def test_what_cannot_be_pulled_is_refused(tmp_path):
         run(tmp_path, with_parts(car("Ego"), f'{HITCH}<Trailer><TrailerRef entityRef="Nobody"/></Trailer>'))
 
 
+@pytest.mark.parametrize("count", [20, 21])
+def test_at_most_20_trailers_are_pulled(tmp_path, count):
+    trailer = ""
+    for _ in range(count):
+        body = with_parts(car("unnamed"), f"{HITCH}{COUPLER}{trailer}")
+        vehicle = body[body.index("<Vehicle") : body.rindex("</ScenarioObject>")]
+        trailer = f'<Trailer><Trailer name="t">{vehicle}</Trailer></Trailer>'
+    entities = with_parts(car("Ego"), HITCH + trailer)
+    if count > 20:
+        with pytest.raises(InputError, match="pulls more than 20 trailers"):
+            run(tmp_path, entities, duration=0.1)
+    else:
+        assert len(run(tmp_path, entities, duration=0.1).names) == 21
+
+
 CONNECT = "<PrivateAction><TrailerAction><ConnectTrailerAction {}/></TrailerAction></PrivateAction>"
 DISCONNECT = "<PrivateAction><TrailerAction><DisconnectTrailerAction/></TrailerAction></PrivateAction>"
 

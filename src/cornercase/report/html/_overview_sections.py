@@ -116,12 +116,12 @@ def _format_seconds(seconds: float) -> str:
 def format_setting(value: Any) -> str:
     """Format the value of a setting, without the syntax of Python's dictionaries and lists.
 
-    An absolute path is cut to its file name, except in a list.
+    An absolute path is cut to its file name.
     """
     if isinstance(value, dict):
         return ", ".join(f"{name}: {format_setting(item)}" for name, item in value.items())
     if isinstance(value, list | tuple):
-        return ", ".join(map(str, value))
+        return ", ".join(map(format_setting, value))
     # Only the file name, since folders of the author are private.
     path = next((kind(str(value)) for kind in (PurePosixPath, PureWindowsPath) if kind(str(value)).is_absolute()), None)
     return str(value) if path is None else path.name

@@ -179,6 +179,8 @@ def _iter_trailers(
             return
         body, scope = _find_entity_element(inner, vehicle_name, scope)
         yield body, scope
+    if body.find("Trailer") is None:
+        return
     raise scope.error_at(body, f"the <Trailer> of the entity '{vehicle_name}' pulls more than {MAX_TRAILERS} trailers.")
 
 
