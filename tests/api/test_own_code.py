@@ -199,7 +199,7 @@ def test_a_reduced_set_is_run_again_with_its_metric(own, explored, tmp_path):
     explored.reduce(tmp_path / "reduced", size=2, by="speed-nearby")
     suite = cc.Suite.open(tmp_path / "reduced")
     with pytest.raises(
-        cc.InputError, match=r"`metrics`: .*manifest.json names the metric 'speed-nearby', which is none"
+        cc.InputError, match=r"`metrics`: .*manifest.json names the metric 'speed-nearby', which cornercase does not"
     ):
         suite.run(tmp_path / "run.db", drivers={"Ego": own["Lazy"](9.0)})
     result = suite.run(tmp_path / "run.db", metrics=own["SpeedNearby"](), drivers={"Ego": own["Lazy"](9.0)})

@@ -61,7 +61,7 @@ def test_lower_is_always_more_critical():
     [
         ({"tcc": 1.0}, False, "did you mean 'ttc'"),
         ({"ttc": -1.0}, False, "above 0"),
-        ({"ttc": 1.0}, True, "no `weights`"),
+        ({"ttc": 1.0}, True, "leave `weights` out"),
     ],
 )
 def test_what_cannot_be_searched_is_refused(weights, pareto, words):

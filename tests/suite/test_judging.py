@@ -179,7 +179,7 @@ def test_what_decides_is_the_robustness_and_changes_it(values, text):
         ("ttc > 1.5 m", "unit 'm' does not fit"),
         ("ttc >", "ttc >"),
         ('for " ": ttc > 1', "is empty or not quoted as in JSON"),
-        (r'for "\*": ttc > 1', "quote it as in JSON"),
+        (r'for "\*": ttc > 1', "not quoted as in JSON"),
         ("not " * 60 + "(ttc > 1)", "nested more than"),
         ("for *:no collision", "with a space after the colon"),
         ("", "give a text"),
