@@ -173,7 +173,11 @@ def test_an_export_is_imported_again(explored, tmp_path):
         _ = imported.problem
     for folder, table, says in (
         ("tables/recordings", None, f"name the folder above, {tmp_path / 'tables'}, which has one"),
-        ("tables/recordings", tmp_path / "tables" / "scenarios.csv", f"name the folder {tmp_path / 'tables'}, which has"),
+        (
+            "tables/recordings",
+            tmp_path / "tables" / "scenarios.csv",
+            f"name the folder {tmp_path / 'tables'}, which has",
+        ),
     ):
         with pytest.raises(cc.InputError, match=says):
             cc.import_recordings(tmp_path / folder, tmp_path / "again.db", table=table, **given)

@@ -122,7 +122,7 @@ def test_models_of_sumo_take_no_equipment():
         if driven:
             ran(simulator, [ConcreteScenario(X, {})])
             continue
-        with pytest.raises(InputError, match=r"'Ego' asks .* 'normal' is SUMO's own model .* leave out 'kinematic'"):
+        with pytest.raises(InputError, match=r"'Ego' asks .* 'normal' is SUMO's own model.* leave out 'kinematic'"):
             simulator.check_supported(ScenarioFile.read(X))
 
 
