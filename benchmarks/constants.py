@@ -36,7 +36,7 @@ from threadpoolctl import threadpool_limits
 
 # Beside this file; mypy knows them by their package.
 from exploration import EXAMPLES, Folders, Judge  # type: ignore[attr-defined]
-from intervals import HALVES, judge_at, run_search, settle_threshold  # type: ignore[import-not-found]
+from intervals import HALVES, bounds_and_truth, judge_at, path_of_run, run_search, settle_threshold  # type: ignore[import-not-found]
 from rare import HALVES as FUNCTIONS  # type: ignore[import-not-found]
 from rare import judged
 
@@ -160,8 +160,7 @@ def judge_sets(
     rows = []
     for search in (change.search,) if change.search else ("sobol", "level-set"):
         for seed in range(change.first_seed, change.first_seed + seeds):
-            folder = runs / f"{case.replace(', ', '-').replace(' ', '-')}-14"
-            path = folder / f"{search.replace(', ', '-')}-{seed}.npy"
+            path = path_of_run(runs, case, 14, search, seed)
             with TemporaryDirectory() as temporary:
                 if change.search:
                     path = Path(temporary) / "run.npy"
@@ -196,12 +195,9 @@ def describe_sets(rows: list[dict[str, Any]], is_search: bool) -> list[str]:
     """Format the figures of critical sets."""
     texts = [f"{np.mean([row.get('f1', 0.0) for row in rows if row['size'] == size]):.3f}" for size in SIZES]
     for what in () if is_search else ("share", "missed"):
-        given = [
-            (*row[what], row["critical"] if what == "share" else 1.0 - row["recall"]) for row in rows if what in row
-        ]
-        low, _, high, true = np.array(given).reshape(-1, 4).T
+        low, high, true = bounds_and_truth(rows, what)
         width = np.median((high - low) / (true if what == "share" else 1.0))
-        texts += [f"{np.mean((low <= true) & (true <= high)):.0%} of {len(given)}", f"{width:.3f}"]
+        texts += [f"{np.mean((low <= true) & (true <= high)):.0%} of {len(true)}", f"{width:.3f}"]
     return texts
 
 

@@ -122,6 +122,11 @@ def settle_threshold(name: str, folders: Folders, steps: int, folder: Path) -> N
         CASES[name] = replace(case, critical=float(np.nanquantile(scores, -case.critical)))
 
 
+def path_of_run(folder: Path, name: str, steps: int, kind: str, seed: int) -> Path:
+    """File of the places of one search of one scenario, in the folder of --runs."""
+    return folder / f"{name.replace(', ', '-').replace(' ', '-')}-{steps}" / f"{kind.replace(', ', '-')}-{seed}.npy"
+
+
 def run_search(judge: Judge, kind: str, seed: int, size: int, path: Path) -> npt.NDArray[np.int64]:
     """Places of the scenarios in the order in which a search ran them, kept in a file."""
     if path.exists():
@@ -181,12 +186,18 @@ def work(
     settle_threshold(name, folders, steps, truths)
     with threadpool_limits(1):
         judge = Judge(name, folders, steps, truths, ("process",))
-        path = runs / f"{name.replace(', ', '-').replace(' ', '-')}-{steps}" / f"{kind.replace(', ', '-')}-{seed}.npy"
-        places = run_search(judge, kind, seed, max(sizes), path)
+        places = run_search(judge, kind, seed, max(sizes), path_of_run(runs, name, steps, kind, seed))
         looks = sorted({*sizes, *(range(40, max(sizes) + 1, LOOK) if stop else ())})
         rows = [judge_at(judge, kind, seed, places[:look], with_features) for look in looks if look <= len(places)]
     first = {"case": name, "search": kind, "seed": seed, "dimension": judge.space.dimension}
     return [first | {"judged": row["size"] in sizes} | row for row in rows]
+
+
+def bounds_and_truth(rows: Iterable[dict[str, Any]], what: str) -> tuple[npt.NDArray[np.float64], ...]:
+    """Lower and upper bounds of the intervals that were given, and the true values."""
+    given = [(*row[what], row["critical"] if what == "share" else 1.0 - row["recall"]) for row in rows if what in row]
+    low, _, high, true = np.array(given).reshape(-1, 4).T
+    return low, high, true
 
 
 def print_rates(rows: Iterable[dict[str, Any]]) -> None:
@@ -199,12 +210,7 @@ def print_rates(rows: Iterable[dict[str, Any]]) -> None:
             mine = [row for row in rows if key is None or row[key] == value]
             texts = [f"{np.mean([row.get('f1', 0.0) for row in mine]):6.3f}"]
             for what in ("share", "missed"):
-                given = [
-                    (row[what], row["critical"] if what == "share" else 1.0 - row["recall"])
-                    for row in mine
-                    if what in row
-                ]
-                low, _, high, so = np.array([[*bounds, so] for bounds, so in given]).reshape(-1, 4).T
+                low, high, so = bounds_and_truth(mine, what)
                 if not len(so):
                     texts.append(f"{'none given':>16} {'':14}")
                     continue

@@ -85,15 +85,19 @@ class RunnerEnvironment:
                 f" {client}, or get the other client by `{self.python} -m pip install carla=={server}`{any_version}"
             )
         if self.version not in ("", client):
-            release = max((other for other in VERSIONS if _key(other) <= _key(client)), key=_key, default=VERSIONS[0])
+            release = max(
+                (other for other in VERSIONS if _version_numbers(other) <= _version_numbers(client)),
+                key=_version_numbers,
+                default=VERSIONS[0],
+            )
             raise InputError(
                 f"{self.folder}: ScenarioRunner {self.version} does not fit CARLA {client}; get {release}"
                 f" {describe_download(release)}{any_version}"
             )
 
 
-def _key(version: str) -> list[int]:
-    """Return a key by which versions are sorted."""
+def _version_numbers(version: str) -> list[int]:
+    """Return the numbers of a version, to compare versions; also of builds such as 0.9.15-dirty."""
     return [int(number) for number in re.findall(r"\d+", version)]
 
 
