@@ -73,7 +73,10 @@ class Configurable:
 
 
 def given_options(configured: object) -> dict[str, Any]:
-    """Return the options that an object was constructed with, except options with their default value."""
+    """Return the options that an object was constructed with, except options with their default value.
+
+    Fields of a dataclass that have a `default_factory` are always included.
+    """
     # A subclass of a dataclass may have a constructor of its own.
     if is_dataclass(configured) and _GIVEN_OPTIONS not in getattr(configured, "__dict__", {}):
         # The constructor of a dataclass is made after the class, so it is not wrapped.
@@ -242,7 +245,7 @@ def _leave_out_defaults(cls: type[Any], options: dict[str, Any]) -> dict[str, An
 
 
 def _is_equal(value: object, default: object) -> bool:
-    """Return whether a value of an option equals the default; False for arrays."""
+    """Return whether a value of an option equals the default; False for arrays of several elements."""
     try:
         return bool(value == default)
     except ValueError:

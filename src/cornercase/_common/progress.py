@@ -37,7 +37,8 @@ class ProgressBar:
     """Display of progress, rate, remaining time and a status: a bar in terminals and notebooks, otherwise lines.
 
     `activity` is a word such as ``"exploring"``, and `unit` is the noun for what is counted, such as ``"scenarios"``.
-    `start_time` is the start by `time.monotonic`; if it is None, the rate is measured from the first `update` on.
+    `start_time` is the start by `time.monotonic`; if it is None, the rate is measured from the moment at which `update`
+    first gets a higher number than in its first call.
     Nothing is shown unless `enabled`.
     """
 

@@ -298,7 +298,10 @@ class Study(PathLike[str]):
 
     @property
     def optimizer(self) -> str | None:
-        """Optimizer that proposed the scenarios, as text; None if no scenario was run yet."""
+        """Optimizer that proposed the scenarios, as text; None if no scenario was run yet.
+
+        For imported recordings and for runs of a suite, the text is ``"none"``.
+        """
         if not self.path.exists():
             return None
         with self._read() as file:
@@ -338,7 +341,8 @@ class Study(PathLike[str]):
         optimizer : Optimizer or str, optional
             Optimizer of `cornercase.optimizers`, or its name with options after a colon: ``"level-set:filling=0.1"``.
             By default ``Auto()``, or ``Bayes()`` if no threshold or condition says what is critical. If the study was
-            searched before, all settings but `stop` default to the settings of the earlier search.
+            searched before, `optimizer`, `budget`, `batch`, `asynchronous`, `audit`, and the numbers of repeats in
+            `runs` default to those of the earlier search.
         budget : int, optional
             Number of scenarios in total, including those that were run before; 200 by default.
         stop : StopRule or str, or sequence of these
@@ -360,8 +364,9 @@ class Study(PathLike[str]):
             Earlier study with the same parameters, but another driver, simulator or time step; the search begins with
             the scores of the earlier study. The ranges may differ: earlier scenarios outside of the new ranges are left
             out. Metrics that the earlier study lacks, or has measured against other entities, are measured from its
-            recordings. A condition that says what is critical must be the same in both studies. At least 10 different
-            scores are needed. ``LevelSet()``, ``Committee()`` and ``Auto()`` learn from an earlier study.
+            recordings. A condition that says what is critical must be the same in both studies. At least 10 scores are
+            needed, and they must not all be equal. ``LevelSet()``, ``Committee()`` and ``Auto()`` learn from an earlier
+            study.
         retry_failed : bool, default False
             Run the failed scenarios of the study again before the search goes on.
         progress : bool, optional
@@ -529,8 +534,8 @@ class Study(PathLike[str]):
         share : float, optional
             Fraction of the scenarios to select, above 0 and up to 1.
         cover : float, optional
-            Select as few scenarios as possible, such that the distance of each scenario to the nearest selected
-            scenario is at most this fraction of the largest distance.
+            Select the prototypes, then always the scenario that is least similar to all selected ones, until the
+            distance of each scenario to the nearest selected scenario is at most this fraction of the largest distance.
         archetypes : int or "auto", optional
             Select from each cluster only the prototype (most central scenario) and at most this number of archetypes
             (extreme scenarios), as in the paper that cornercase follows.

@@ -115,8 +115,9 @@ class Suite:
         Parameters
         ----------
         study : path, optional
-            Study to create or continue; by default ``FOLDER.run.db`` beside the folder of the suite. Name another study
-            for each other driver or simulator.
+            Study to create or continue; by default ``FOLDER.run.db`` beside the folder of the suite, or
+            ``suite.run.db`` in the current folder if this is the folder of the suite. Name another study for each other
+            driver or simulator.
         require : sequence of str, Expression or Requirement
             Requirements on each scenario, as `cornercase.suite.Requirement.parse` reads them.
         requirements : path, optional

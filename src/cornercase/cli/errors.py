@@ -178,7 +178,7 @@ def _describe_error(error: BaseException) -> str:
 
 
 def _find_file_in_use(frames: list[FrameType]) -> Path | None:
-    """Return the file in the variables of the innermost function, or else a file on the command line; None if none."""
+    """Return a file in the variables of the innermost function that has one, or else on the command line; or None."""
     values = (value for frame in reversed(frames) for value in frame.f_locals.values() if isinstance(value, Path))
     return next(filter(_is_file, chain(values, map(Path, sys.argv[2:]))), None)
 

@@ -43,10 +43,10 @@ def check(
     """Check scenario files: what they contain, what cornercase ignores, and whether they are valid and can run.
 
     Violations of the standard that can be understood in only one way are accepted, and listed as "adapted". The exit
-    code is 1 if a file is not valid or cannot run, or with --strict if something was adapted. --sut also describes the
-    driver, and lists the options of the driver that explore can vary. --simulator also lists the parts of the scenario
-    that this simulator ignores or replaces, and the parameters without effect because a driver of the simulator decides
-    instead.
+    code is 1 if a file is not valid or cannot run, or with --strict if something was adapted; it is 2 if the only file
+    cannot be read. --sut also describes the driver, and lists the options of the driver that explore can vary.
+    --simulator also lists the parts of the scenario that this simulator ignores or replaces, and the parameters without
+    effect because a driver of the simulator decides instead.
 
     \b
     Example:
@@ -89,7 +89,7 @@ def check(
 
 
 def _print_check(report: Any, drivers: Mapping[str, str], printed: set[tuple[str, str]]) -> None:
-    """Print the report of a check, without notices that were `printed` for an earlier file with the same road."""
+    """Print the report of a check, without notices on shared files that were `printed` for an earlier scenario."""
     from cornercase.drivers._driver_overview import describe_driver
 
     for key, count in report.contents.items():

@@ -38,8 +38,9 @@ _LATE_PROGRAM: Final = "from cornercase.cli.warm_up import compile_late_kernels;
 def warm_up() -> None:
     """Compile in advance what other commands would compile at first use.
 
-    Compiled code is stored beside the package, or in the folder NUMBA_CACHE_DIR. Run this command when you build a
-    container image, so that containers start at full speed. Exit code 1: compiled code cannot be stored.
+    Compiled code is stored in the folder NUMBA_CACHE_DIR if it is set, otherwise beside the package, or in the user's
+    cache folder if the package cannot be written to. Run this command when you build a container image, so that
+    containers start at full speed. Exit code 1: compiled code cannot be stored.
 
     \b
     Example:
@@ -85,7 +86,7 @@ def warm_up() -> None:
 def compile_in_parallel(program: str = _LATE_PROGRAM) -> Iterator[None]:
     """Within the block, let a second process compile what is needed later; it starts at the first compilation.
 
-    Both processes share the cache of compiled code.
+    Both processes share the cache of compiled code. With a single CPU, no second process is started.
     """
     from cornercase._common.numba.interpret import compile_loops_at_once
     from cornercase._common.numba.kernel import call_on_first_compilation

@@ -80,9 +80,10 @@ def collect_facts(study: StudyFile, outcomes: Sequence[Outcome]) -> dict[str, li
     """Return facts about scenarios, to compare clusterings with: for each name of a fact, one value per scenario.
 
     The names are ``"outcome"`` (a text), ``"first"`` (who is first where the paths cross, or ahead in a lane;
-    ``"None"`` if ego and other entity collide), ``"ego first"``, ``"collision"``, ``"fault"`` (who is at fault),
-    ``"stopped"``, and ``"first of Ego and C"`` for each further entity C. ``"critical"`` is added if the study has a
-    threshold and its search was for no Pareto front. Facts that are the same for all scenarios are left out.
+    ``"None"`` if the paths do not meet, or if ego and other entity collide), ``"ego first"``, ``"collision"``,
+    ``"fault"`` (who is at fault), ``"stopped"``, and ``"first of Ego and C"`` for each further entity C. ``"critical"``
+    is added if the study has a threshold and its search was for no Pareto front. Facts that are the same for all
+    scenarios are left out.
     """
     other = outcomes[0].encounter.entity
     firsts = [None if other in {hit.entity for hit in outcome.impacts} else outcome.first for outcome in outcomes]

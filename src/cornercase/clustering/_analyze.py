@@ -85,7 +85,7 @@ def analyze(
     are compared with each other and clustered. Each other scenario is compared with 100 landmarks, and joins a cluster
     of the landmarks. The distances of all other pairs are estimated by landmark multidimensional scaling;
     `Analysis.embedding_error` is the error of these estimates. Also, all series are downsampled so that a series of
-    median length has at most 100 instants.
+    median length has at most 101 instants.
 
     Parameters
     ----------

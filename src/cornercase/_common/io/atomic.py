@@ -43,7 +43,11 @@ class AtomicWriteGroup:
         self._swept_folders: set[Path] = set()
 
     def add_file(self, path: Path) -> Path:
-        """Make an empty temporary file next to `path`, and folders that are missing; return the path of this file."""
+        """Make an empty temporary file next to `path`, and folders that are missing; return the path of this file.
+
+        If `path` is a link, the temporary file is next to the target of the link. If `path` was added before, its
+        temporary file is returned unchanged.
+        """
         # A file must not replace a folder, a pipe or a device.
         with _convert_write_errors(path):
             is_other = path.exists() and not path.is_file()
@@ -156,7 +160,8 @@ def current_or_new_group() -> Iterator[AtomicWriteGroup]:
 def atomic_write_group() -> Iterator[None]:
     """At the end of the block, rename all files that were written within the block; rename none if the block fails.
 
-    Syncing many files to disk together takes little more time than syncing one.
+    Within another `atomic_write_group`, the files are renamed at the end of the outer block. Syncing many files to disk
+    together takes little more time than syncing one.
     """
     with current_or_new_group() as files:
         before = _current_group.set(files)

@@ -145,7 +145,7 @@ def write_files(contents: Mapping[Path, bytes]) -> None:
 
 
 def check_output_folder(name: str, folder: Path | str) -> Path:
-    """Return the path of a folder; `InputError` if the folder cannot be made because a file has its name."""
+    """Return the path of a folder; `InputError` if the folder, or a folder above it, has the name of a file."""
     folder = path_argument(name, folder)
     for parent in (folder, *folder.parents):
         if parent.is_dir():

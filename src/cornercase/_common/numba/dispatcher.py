@@ -44,13 +44,14 @@ class KernelDispatcher(CPUDispatcher):
 
     @property
     def is_compiled(self):
-        """True if this process has compiled or loaded the kernel, alone or as a part of another kernel."""
+        """True if this process has compiled or loaded the kernel alone, or compiled it as a part of another kernel."""
         return bool(self.overloads or self._parts)
 
     def has_machine_code(self, *args):
         """Return whether this process has machine code of the kernel, or the disk has code for the types of `args`.
 
         The disk is searched only once for the same types, because a search takes longer than a short interpreted call.
+        Within `interpret_always`, the disk is not searched.
         """
         if self.overloads:
             return True

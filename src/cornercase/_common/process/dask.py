@@ -112,9 +112,10 @@ def _check_certificates(cluster: str, address: str) -> None:
 
 
 def _check_scheduler_answers(address: str, timeout: float) -> None:
-    """Raise `InputError` unless a Dask scheduler answers at the address within `timeout` s.
+    """Raise an error unless a Dask scheduler answers at the address within `timeout` s.
 
-    If another program listens at the address, a client would wait forever.
+    Without an answer, this is an `OSError`; an answer of another program raises other errors. `connect` turns all of
+    them into `InputError`. If another program listens at the address, a client would wait forever.
     """
     from distributed.comm.core import connect as greet
     from distributed.security import Security

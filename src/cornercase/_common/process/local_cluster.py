@@ -40,7 +40,7 @@ def start_local_cluster(n_workers: int, reaper: Reaper) -> SpecCluster:
     """
 
     class ReapedNanny(Nanny):
-        """Dask process that starts a worker again if it dies; `reaper` ends the worker together with this process."""
+        """Dask object that starts its worker again if it dies; `reaper` ends the worker together with this process."""
 
         async def instantiate(self) -> Any:
             with reaper.watch_new_processes(), isolate_children():

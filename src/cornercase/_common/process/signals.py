@@ -52,8 +52,9 @@ def is_termination_request(error: BaseException, n_requests_before: int) -> bool
     """Return whether an exception of a plug-in was caused by a termination request, and not by the plug-in itself.
 
     `n_requests_before` is the result of `count_termination_requests` before the plug-in ran. The result is right even
-    if the plug-in replaced the `KeyboardInterrupt` by another error. Requests are only counted within the block of
-    `collect_interrupts`; outside of the block, every `KeyboardInterrupt` is taken for a request.
+    if the plug-in replaced the `KeyboardInterrupt` by another error. Ctrl-C is only counted within the block of
+    `collect_interrupts`; outside of the block, every `KeyboardInterrupt` is taken for a request, unless Ctrl-C is
+    ignored. Outside the main thread, the result is False.
     """
     if threading.current_thread() is not threading.main_thread():
         return False
