@@ -28,7 +28,7 @@ COMPONENTS: Final = (3, 6, 12, 24)
 SINGLE_CLUSTER_GAMMA: Final = 1.0
 # Shares of the edges within clusters that a radius covers: all edges, or all but the longest, which lead to noise.
 EPS_QUANTILES: Final = (1.0, 0.99, 0.97, 0.94, 0.9, 0.8)
-# Agreement with the expected clusters that ends the search.
+# Score that ends the search: agreement with the expected clusters, less the share of noise, plus the part for the gap.
 GOOD_AGREEMENT: Final = 0.97
 NOISE_COST: Final = 1.0
 # Weight of the gap between clusters in the score: it breaks ties between equal agreements.
@@ -57,8 +57,9 @@ def search_settings(
 ) -> Clustering:
     """Cluster scenarios with the given settings; settings that are ``"auto"`` are searched.
 
-    `ScenarioClustering` describes the search. `distances`, shape (n, n), are in `canonical_order`, since the assignment
-    of border points depends on the order of the scenarios.
+    `ScenarioClustering` describes the search. If `gamma` and `eps` are both given, or there are fewer than five
+    scenarios, nothing is searched: of each other setting, the first candidate is taken. `distances`, shape (n, n), are
+    in `canonical_order`, since the assignment of border points depends on the order of the scenarios.
     """
     n = len(distances)
     positive = distances[distances > 0.0]
@@ -105,7 +106,11 @@ def canonical_order(distances: FloatArray) -> IntArray:
 def _candidate_spaces(
     n_scenarios: int, n_components: int | _Auto, min_samples: int | _Auto, smallest_cluster: int
 ) -> Iterator[tuple[int, int]]:
-    """Yield the pairs (dimensions of the kernel space, `min_samples`) to try, the usual pair first."""
+    """Yield the pairs (dimensions of the kernel space, `min_samples`) to try.
+
+    The usual pair comes first. If `min_samples` is ``"auto"``, values above the size of the smallest expected cluster
+    are left out, the usual value included; if no value remains, the usual value is tried.
+    """
     usual = max(3, math.ceil(math.log(n_scenarios))) if n_scenarios >= _MIN_SCENARIOS else 1
     # A cluster of five is not dense if six are needed; clusters that touch need more neighbours to be separated.
     neighbours = [value for value in (usual, 3, 2 * usual) if value <= max(smallest_cluster, 1)]
@@ -188,9 +193,10 @@ class _SettingsSearch:
     def find_best_candidate_index(self, settings_given: bool) -> int:
         """Return the index of the best candidate.
 
-        For the few candidates with the highest scores, stability and validity are computed. If the best of them scores
-        too low or is too unstable, a candidate with a single cluster wins instead, except if the user gave gamma and
-        eps (`settings_given`).
+        The stability of the few candidates with the highest scores is computed, up to the first stable one. Stability
+        and validity are also computed for the best candidate of each of a few numbers of clusters. If the best of the
+        candidates with the highest scores scores too low or is too unstable, a candidate with a single cluster wins
+        instead, if there is one, except if the user gave gamma and eps (`settings_given`).
         """
         indices = np.arange(len(self._scaled))
         self._stability = StabilityScorer(self._scaled, indices, method=self._method, max_part_size=MAX_SCORED)
@@ -263,7 +269,8 @@ class _SpanningTreeEdges:
     def candidate_radii(self, method: ClusteringMethod) -> Iterable[float]:
         """Return radii to try: above most edges within clusters, and if possible below the edges between clusters.
 
-        One more radius connects all points. For HDBSCAN, 0 is also tried.
+        One more radius connects all points; it is the only radius unless there are edges within clusters and edges
+        between clusters. Otherwise, 0 is also tried for HDBSCAN.
         """
         tiny = 1e-9 + 1e-6 * self._largest
         # A radius equal to a distance would make neighbours depend on the last digits.

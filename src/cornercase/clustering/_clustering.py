@@ -32,9 +32,10 @@ class Candidate:
     dbcv, silhouette : float
         Validity indices of the clusters, computed from the given distances, -1 to 1; NaN if not computed.
     stability : float
-        Ten random parts of 80 % of the scenarios are clustered with the same settings. The stability is the mean
-        adjusted Rand index of the clusters of all scenarios and those of a part. It is always 1 if all scenarios are in
-        one cluster, or all are noise. Stability and validity are computed only for the candidates with the highest
+        Ten random parts of 80 % of the scenarios, but of at most 1,000, are clustered with the same settings
+        (`min_samples` is reduced in proportion). The stability is the mean adjusted Rand index of the clusters of all
+        scenarios and those of a part. If all scenarios are in one cluster, or all are noise, it is the share of the
+        parts that are not divided either. Stability and validity are computed only for the candidates with the highest
         scores, and for the best candidate of some numbers of clusters; they are NaN for other candidates.
     score : float
         Objective that ``"auto"`` maximizes; -inf without a search. If the stability is NaN, this is an upper bound.
@@ -80,7 +81,8 @@ class Clustering:
     labels : ndarray of int64, shape (n,)
         Number of the cluster of each scenario: 0 is the largest cluster, -1 is noise.
     embedding : ndarray of float64, shape (n, n_components)
-        Coordinates in kernel space. Each axis is signed so that its entry of largest magnitude is positive.
+        Coordinates in kernel space. Each axis is signed so that its entry of largest magnitude is positive, among the
+        scenarios that span the space.
     gamma, eps : float
         Factor of the Gaussian kernel and radius of DBSCAN's neighbourhood, as given or found.
     min_samples : int
@@ -94,7 +96,8 @@ class Clustering:
     method : {"dbscan", "hdbscan"}
         Algorithm that found the clusters in kernel space.
     landmarks : ndarray of int64, shape (m,)
-        Indices of the scenarios that span the kernel space; empty if all scenarios span it.
+        Indices of the scenarios that span the kernel space; empty if all scenarios in which the clusters were found
+        span it.
     error : float
         Relative error that landmarks cause: the kernel between other scenarios is approximated from their kernel with
         the landmarks. The error is the root mean square of the approximate minus the exact kernel, divided by the root

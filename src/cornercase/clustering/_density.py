@@ -34,8 +34,8 @@ def cluster_by_density(embedding: FloatArray, eps: float, min_samples: int, meth
 def assign_to_nearest_cluster(new_points: FloatArray, clustering: Clustering) -> IntArray:
     """Return the cluster that each new point in kernel space joins, shape (m,): that of the nearest dense point.
 
-    A dense point is a clustered point with many neighbours. A new point is noise (-1) if the nearest dense point is
-    farther away than `_assignment_radius`.
+    A dense point is a clustered point with many neighbours; for HDBSCAN, any clustered point. A new point is noise (-1)
+    if the nearest dense point is farther away than `_assignment_radius`.
     """
     dense = np.flatnonzero(_is_dense(clustering))
     if not len(dense):

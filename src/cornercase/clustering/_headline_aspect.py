@@ -22,7 +22,7 @@ def find_headline_aspect(analyses: Mapping[str, Analysis]) -> str | None:
     """
     highest, aspect = -1.0, None
     for by, analysis in analyses.items():
-        # If tied, the later aspect wins: the order of aspects rises with how much they say about what happens.
+        # If tied, the later aspect wins: the ego's trajectory, which comes first, says least about what happens.
         information = round(_outcome_agreement(analysis), 3) if analysis.clustering.n_clusters > 1 else -1.0
         if information >= highest:
             highest, aspect = information, by

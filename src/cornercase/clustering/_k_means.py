@@ -1,7 +1,8 @@
 """k-means for very many clusters, up to a tenth of the points; each point is compared only with nearby centres.
 
-The result is the same as from `sklearn.cluster.KMeans` with the same seed. D. Arthur, S. Vassilvitskii, "k-means++: The
-advantages of careful seeding", 2007; S. Lloyd, "Least squares quantization in PCM", 1982.
+The result is the same as from `sklearn.cluster.KMeans` with seed 0, one start and at most 30 iterations, unless a
+cluster becomes empty. D. Arthur, S. Vassilvitskii, "k-means++: The advantages of careful seeding", 2007; S. Lloyd,
+"Least squares quantization in PCM", 1982.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from cornercase.clustering._cells import AXES_PER_STAGE, make_cells, pad_axes
 from cornercase.clustering._kernels.k_means_start import choose_centers
 
 _MAX_ITERATIONS: Final = 30
-# Squared shift of all centres, relative to the mean variance of an axis, from which the centres count as fixed.
+# Squared shift of all centres, relative to the mean variance of an axis, up to which the centres count as fixed.
 _TOLERANCE: Final = 1e-4
 
 

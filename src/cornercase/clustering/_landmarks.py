@@ -104,7 +104,7 @@ def draw_landmarks(n_scenarios: int) -> IntArray:
 
 
 def cluster_by_landmarks(comparer: PairwiseComparer, model: ScenarioClustering) -> LandmarkClustering:
-    """Cluster the landmarks with the settings of `model`, and assign each other scenario to one of these clusters."""
+    """Cluster the landmarks with the settings of `model`; assign each other scenario to a cluster or to noise."""
     landmarks = draw_landmarks(len(comparer.series))
     landmark_distances = comparer.distances_between(landmarks)
     fitted = ScenarioClustering(**{**model.get_params(), "landmarks": None}).fit(landmark_distances)

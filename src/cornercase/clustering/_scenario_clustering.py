@@ -94,11 +94,14 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
     Second, the search looks for settings with which kernel PCA and DBSCAN find these expected clusters: `gamma` on a
     fixed grid, and `eps` between the distances within clusters and the distances between clusters. The score of a
     candidate is the mean F-measure of its clusters and the expected clusters, less the share of noise. Up to 0.1 is
-    subtracted if the same settings find other clusters in random parts of 80 % of the scenarios [9]_. Up to 0.02 is
-    added for a wide gap between the clusters in the embedding. The highest score wins. All scenarios are one cluster if
-    there are fewer than 5 scenarios, or if the clusters of the best candidate and of the random parts have a mean
-    adjusted Rand index below 0.5. `Candidate.agreement` is how well each candidate matches the expected clusters. DBCV
-    [6]_ and silhouette [8]_ are computed for comparison only.
+    subtracted if the same settings find other clusters in random parts of 80 % of the scenarios, at most 1,000 [9]_. Up
+    to 0.02 is added for a wide gap between the clusters in the embedding. The highest score wins. All scenarios are one
+    cluster if there are fewer than 5 scenarios, if the best candidate has a score below 0, or if its clusters and those
+    of the random parts have a mean adjusted Rand index below 0.5. `Candidate.agreement` is how well each candidate
+    matches the expected clusters. DBCV [6]_ and silhouette [8]_ are computed for comparison only.
+
+    If `gamma` and `eps` are both given, nothing is searched: ``"auto"`` then stands for ``ln(n)``, rounded up and at
+    least 3, as `min_samples`, and for 3 as `n_components`.
 
     References
     ----------

@@ -43,7 +43,7 @@ def require_known_aspect(study: StudyFile, aspect: str) -> None:
 
 
 def create_aspect(name: str) -> Aspect:
-    """Create a registered aspect, and check its name and unit.
+    """Create a registered aspect, and check that it has a name, and a unit that is a string.
 
     The class of the aspect may come from another package, so the name or the unit may be missing or invalid.
     """

@@ -41,7 +41,7 @@ class SettingsMap:
     `min_samples` (scenarios in a dense neighbourhood).
 
     `rows`, shape (n,), are the rows of the scenarios in the analysis: all rows, a random sample, or the landmarks
-    (random scenarios with which all others were compared).
+    (scenarios that were all compared with each other).
     `labels` has shape (m, g, e, n), `embeddings` has shape (g, n, 3).
 
     All other arrays have shape (m, g, e). `noise` is the share of scenarios in no cluster. `stability` is the agreement
@@ -113,9 +113,10 @@ def compute_settings_map(
 ) -> SettingsMap:
     """Cluster the scenarios of an analysis with each setting of a grid, from the stored distances.
 
-    The clusters are the same as `analyze` finds with the same settings. An analysis of more than `max_mapped` scenarios
-    is represented by a random sample; the clusters are then approximate, and min_samples is reduced in proportion to
-    the sample. `on_gamma` is called with the number of values of gamma done so far.
+    The clusters are the same as `analyze` finds with the same settings. An analysis with landmarks is represented by
+    its landmarks. Any other analysis of more than `max_mapped` scenarios is represented by a random sample; the
+    clusters are then approximate, and min_samples is reduced in proportion to the sample. `on_gamma` is called with the
+    number of values of gamma done so far.
     """
     distances, rows = _sampled_distances(study, analysis, max_mapped)
     order = canonical_order(distances)
@@ -158,7 +159,7 @@ def compute_settings_map(
 def _sampled_distances(study: StudyFile, analysis: Analysis, max_mapped: int) -> tuple[FloatArray, IntArray]:
     """Return the distances between at most `max_mapped` scenarios of an analysis, and the rows of these scenarios.
 
-    If the analysis has landmarks (random scenarios with which all others were compared), all landmarks are returned.
+    If the analysis has landmarks (scenarios that were all compared with each other), all landmarks are returned.
     """
     if analysis.embedding_error is not None:
         return read_landmark_distances(study, analysis.by), np.asarray(analysis.clustering.landmarks)
@@ -199,7 +200,7 @@ class _SettingScorer:
         key = labels.tobytes()
         if key not in self._scored:
             self._scored[key] = self._compare_with_observed(labels)
-        # A single group is found again by construction.
+        # With a single group, each part has the adjusted Rand index 1 or 0.
         if labels.min() == labels.max():
             return self._scored[key]
         candidate = Candidate(

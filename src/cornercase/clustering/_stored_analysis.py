@@ -53,8 +53,9 @@ class Analysis:
     stride : int
         Every `stride`-th instant was compared.
     embedding_error : float or None
-        None if all pairs of scenarios were compared. Otherwise, all scenarios were compared with a random subset, the
-        landmarks, and all other distances are approximate: their mean error, as a share of the mean distance.
+        None if all pairs of scenarios were compared. Otherwise, only some scenarios, the landmarks, were all compared
+        with each other, and each other scenario with some of the landmarks. All other distances are approximate: their
+        mean error, as a share of the mean distance.
 
     Examples
     --------
@@ -111,8 +112,8 @@ class Analysis:
         -------
         DataFrame
             One row per cluster; the index is the number of the cluster, -1 for noise. The columns are ``name``,
-            ``size``, ``collisions`` (number of scenarios with a collision), ``example`` (id of the medoid; empty if the
-            cluster has no name), and for each metric ``median …``, the median score.
+            ``size``, ``collisions`` (number of scenarios in which the ego collides), ``example`` (id of the medoid;
+            empty if the cluster has no name), and for each metric ``median …``, the median score.
 
         See Also
         --------
@@ -322,9 +323,9 @@ def read_distances(study: StudyFile | Path | str, by: str) -> Distances:
     Returns
     -------
     ndarray of float64, shape (n, n), or EmbeddedDistances
-        Distances by Dynamic Time Warping between the scenarios in `Analysis.ids`, in the unit of the aspect. If all
-        scenarios were compared only with a random subset (landmarks), an `EmbeddedDistances` computes the distances on
-        demand from an embedding; index the object like a matrix.
+        Distances by Dynamic Time Warping between the scenarios in `Analysis.ids`, in the unit of the aspect. If not
+        all pairs of scenarios were compared (`Analysis.embedding_error`), an `EmbeddedDistances` computes the distances
+        on demand from an embedding; index the object by rows or by ``numpy.ix_``.
 
     Raises
     ------
@@ -365,7 +366,7 @@ def _read_distances(study: StudyFile, by: str) -> Distances:
 def read_landmark_distances(study: StudyFile, by: str) -> FloatArray:
     """Read the distances between the landmarks of an analysis, shape (m, m).
 
-    Landmarks are random scenarios with which all other scenarios were compared.
+    Landmarks are scenarios that were all compared with each other; others were compared with some landmarks only.
     """
     arrays, _ = study.read_analysis(by, "landmarks", "between")
     distances: FloatArray = arrays["between"]

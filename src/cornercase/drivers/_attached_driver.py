@@ -202,7 +202,10 @@ class AttachedDriver:
         situation: Situation,
         failures: dict[int, SimulationError],
     ) -> None:
-        """Add a failure for each scenario of `rows` in which the vehicle would move farther than it can drive."""
+        """Add a failure for each scenario of `rows` in which the vehicle would jump.
+
+        It jumps if it moves by more than 10 m plus twice the distance that it drives in a step at its highest speed.
+        """
         body, dt = self._start.body, situation.time_step
         fastest = body.max_speed if np.isfinite(body.max_speed) else _MAX_SPEED
         farthest = _JUMP + 2.0 * fastest * dt

@@ -100,7 +100,8 @@ class Situation:
     target_speed : ndarray of float64, shape (N,)
         Speed in m/s that the scenario's speed actions have set; infinite or NaN if none has set a speed.
     others_x, others_y, others_heading, others_speed : ndarray of float64, shape (N, A)
-        State of the other entities in m, rad and m/s; NaN while an entity does not exist.
+        State of the other entities in m, rad and m/s; NaN while an entity does not exist, or while a visibility action
+        of the scenario hides it.
     others_length, others_width, others_center_x : ndarray of float64, shape (A,)
         Bounding boxes of the other entities in m, like that of the driven entity.
     others_object_type : tuple of str, length A

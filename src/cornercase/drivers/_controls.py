@@ -47,7 +47,8 @@ class Trajectory:
     Raises
     ------
     ValueError
-        If there are fewer than two points, shapes differ, a number is not finite, or times do not increase.
+        If there are fewer than two points, shapes differ, a number is not finite, a coordinate is above 10,000 km, or
+        times do not increase.
 
     Examples
     --------

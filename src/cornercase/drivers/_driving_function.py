@@ -77,7 +77,8 @@ class Start:
         Options that differ between scenarios, such as ``"reaction"`` if ``Ego.reaction`` is a dimension of the search.
         The driver, each sensor and the vehicle model are given only their own options.
     values : tuple of mapping, length N
-        For each scenario, the values of the scenario file's parameters that differ from the values in the file.
+        For each scenario, the values that are set for parameters of the scenario file. Parameters that are left out
+        have the value in the file.
     seeds : sequence of int, length N
         Seed of each scenario. The seed follows from the seed of the study, the number of the repetition, and the
         parameter values of the scenario; the number of scenarios and of worker processes has no effect.

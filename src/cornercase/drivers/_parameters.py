@@ -124,8 +124,8 @@ def read_parameters(
     """Return an entity's parameters in N scenarios as arrays (N,) by name, and problems with invalid values.
 
     `values` has the values of each scenario by name of the parameter, without the entity. Problems are texts by index
-    of the scenario; a scenario with a problem has the values of another, valid scenario in the arrays. If
-    `may_run_code`, constructors of users' classes check the values, too.
+    of the scenario; a scenario with a problem has the values of another, valid scenario in the arrays, or 0 if no
+    scenario is valid. If `may_run_code`, constructors of users' classes check the values, too.
     """
     names = list(values[0]) if values else []
     parts, problems, usable = parts_by_name(driver), dict[int, str](), dict[tuple[float, ...], str]()

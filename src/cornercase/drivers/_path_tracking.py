@@ -47,7 +47,8 @@ def steer_along_path(
 
     `response` is the time in s by which the wheels lag behind.
 
-    Deviations decay without oscillation, in distance rather than time, so that the speed does not matter.
+    Deviations decay without oscillation, over a distance of 2 m, or over the distance that the vehicle drives in 0.4 s
+    plus twice `response` if that is longer.
 
     Source: feedback of the rear wheels' position, C. Samson, "Path following and time-varying feedback stabilization of
     a wheeled mobile robot", ICARCV 1992, as in B. Paden et al., "A survey of motion planning and control techniques for

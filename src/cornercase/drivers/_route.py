@@ -49,7 +49,7 @@ def plan_route(
 ) -> Route:
     """Resample a path at equal distances, and compute the highest speed that its curves allow.
 
-    The result has one row for each scenario, or a single row if path and limits are the same in all scenarios.
+    The result has one row for each scenario, or a single row if path and limits are given once for all scenarios.
 
     The highest speed v at a point with curvature κ satisfies v² |κ| ≤ a_lat. To brake in time for curves, v also
     satisfies v² ≤ v_c² + 2 b d for each point at a distance d ahead whose curvature allows the speed v_c. Here a_lat is

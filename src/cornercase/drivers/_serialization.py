@@ -164,7 +164,8 @@ def driver_command_option(description: object) -> str | None:
 def user_driver_spec(driver: str | Driver) -> str | None:
     """Return the name with options of a user's own driver that was created by name, such as ``"my_aeb:Aeb"``.
 
-    Returns None for drivers of cornercase and for drivers that were given as objects.
+    Returns None for drivers of cornercase and for drivers that were given as objects. A `driver` that is given as a
+    name must be registered; otherwise raises `InputError`.
     """
     if isinstance(driver, str):
         factory = DRIVERS.get_factory(split_spec(driver)[0].partition(":")[0])

@@ -26,8 +26,8 @@ def has_steered_vehicle(fleet, driver):
 def move_along_path(fleet, driver, scenario, path, curvature, distance, motion, request, time_step):
     """Move a vehicle by one time step along a path, as `VehicleMover` does; return its distance along the path.
 
-    `path` has five arrays over the path's samples: distance, x, y and heading, then the chords that
-    `project_point_nearby` needs. `motion` (5,) is x, y, heading, speed and acceleration, and is changed in place.
+    `path` has four arrays over the path's samples, distance, x, y and heading, and then the largest distance in m
+    between consecutive samples. `motion` (5,) is x, y, heading, speed and acceleration, and is changed in place.
     `distance` is the approximate position along the path in m. `request` is the acceleration in m/s² that the driver
     chooses.
     """

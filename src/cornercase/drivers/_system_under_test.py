@@ -44,7 +44,8 @@ class Ego:
     max_speed, max_acceleration, max_deceleration : float
         Limits in m/s and m/s²; infinite if the scenario file has none.
     values : mapping of str to object
-        Parameters of the scenario file by name: only those whose value in this scenario differs from the file's.
+        Values that are set for parameters of the scenario file in this scenario, by name. Parameters that are left out
+        have the value in the file.
 
     Examples
     --------
@@ -76,7 +77,8 @@ class SystemUnderTest(Configurable, ABC):
     """Base class of your own driving function, which sees one scenario and decides one time step at a time.
 
     Derive a class and implement `step`; if the function has state, also `start`. Each concrete scenario gets its own
-    object, made from the options of the constructor. An exception ends only the scenario in which it is raised.
+    object: a copy of the object that you give or, if a search varies options or the object cannot be copied, a new
+    object made from the options of the constructor. An exception ends only the scenario in which it is raised.
 
     A decision may depend only on what the function is given: no clock, no random numbers except those of `rng`.
 

@@ -29,7 +29,7 @@ _MAX_QUALIFIERS: Final = 3
 # Several endings that cover this mean share of the other clusters do not identify a cluster.
 _UNINFORMATIVE_SHARE: Final = 0.9
 # A name is made longer if it holds for more than this mean share of the other clusters, or for more than this share of
-# any other cluster. The longer name must lower the mean share by the fraction `_MIN_IMPROVEMENT`.
+# any other cluster. The longer name must lower the mean of both shares by the fraction `_MIN_IMPROVEMENT`.
 _AMBIGUOUS_SHARES: Final = (0.25, 0.5)
 _MIN_IMPROVEMENT: Final = 0.2
 # Handicap of a predicate by its rank: 0 for words without numbers, 1 for bounds of features, 2 for parameters.

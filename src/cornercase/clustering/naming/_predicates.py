@@ -177,8 +177,9 @@ def predicates_with_fitted_bounds(
 ) -> list[tuple[int, Predicate]]:
     """Return pairs (rank, predicate) of predicates that separate the members of a cluster from rivals.
 
-    Rivals are scenarios of clusters with a similar name. A predicate bounds a feature (rank 1), or selects a part of a
-    parameter's range (rank 2). Bounds hold for at least `min_members` of the members.
+    Rivals are scenarios of other clusters for which the name of the cluster is also true. A predicate bounds a feature
+    (rank 1), or selects a part of a parameter's range or one of its choices (rank 2). Bounds hold for at least
+    `min_members` of the members.
     """
     other = quote_name(facts.outcomes[0].encounter.entity)
     clauses = [
@@ -229,8 +230,8 @@ def _fit_bounds(
 ) -> Iterator[Predicate]:
     """Yield predicates that bound a quantity from above or below, between the members and the rivals of a cluster.
 
-    Rivals are scenarios of clusters with a similar name. The bounds hold for all members, or for exactly `min_members`
-    of the members.
+    Rivals are scenarios of other clusters for which the name of the cluster is also true. A bound holds for all members
+    with a finite value, or for at least `min_members` of them, more only if their values are equal.
     """
     for sign, text in ((-1.0, texts[0]), (1.0, texts[1])):
         signed = sign * values
@@ -250,7 +251,10 @@ def _fit_bounds(
 
 
 def _shortest_number_between(low: float, high: float) -> str | None:
-    """Return the shortest number in [low, high) as text; None if three digits are not enough."""
+    """Return the shortest number in [low, high) as text; None if it needs more than three digits or an exponent.
+
+    Python writes numbers from 1,000 on with an exponent, since they have more than three digits before the point.
+    """
     for digits in _BOUND_DIGITS:
         text = f"{(low + high) / 2.0:.{digits}g}"
         if low <= float(text) < high and "e" not in text:

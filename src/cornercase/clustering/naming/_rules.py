@@ -147,8 +147,9 @@ def _encode_parameters(
 ) -> tuple[FloatArray, list[tuple[str, str, str]]]:
     """Return numeric columns of parameter values for a decision tree, shape (n, columns).
 
-    A number has one column. A parameter with choices has one column per choice, which is 1 in scenarios with this
-    choice and 0 in others. The second result has parameter, unit and choice of each column; "" if there is none.
+    A number has one column, and none if it has a single value. A parameter with choices has one column per choice,
+    which is 1 in scenarios with this choice and 0 in others. The second result has parameter, unit and choice of each
+    column; "" if there is none.
     """
     columns, names = [], []
     for parameter in space.parameters:

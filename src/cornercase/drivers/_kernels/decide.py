@@ -98,7 +98,10 @@ def _driver_scene(fleet, driver, scenario, time, time_step, driven, others):
 
 @plain_kernel
 def find_route_row(fleet, driver, track, scenario):
-    """Return the row in `Routes` of a driver's route along path number `track`; -1 if no route is planned."""
+    """Return the row in `Routes` of a driver's route along path number `track`; -1 if no route is planned.
+
+    The result is 0 for a driver that needs no route.
+    """
     if fleet.kind[driver] != BEHAVIOUR:
         return 0
     routes = fleet.routes

@@ -54,7 +54,7 @@ def follow_with_idm(parameters, scene):
 
 @plain_kernel
 def _gap_and_closing_speed(scene, other, sight_range):
-    """Return gap in m and closing speed in m/s to another entity; (inf, 0) if the entity is not straight ahead."""
+    """Return gap in m and closing speed in m/s to another entity; (inf, 0) if it is not in sight straight ahead."""
     own_box, boxes, others, driven, cos, sin = scene.own, scene.boxes, scene.others, scene.driven, scene.cos, scene.sin
     heading = others[HEADING, other]
     if math.isnan(others[X, other]) or math.isnan(heading):

@@ -75,7 +75,7 @@ _TOLERANCE = 1e-9
 
 @inline_kernel
 def plan_acceleration(behaviour, routes, route, scene, buffers):
-    """Return the acceleration in m/s² that the built-in driver wants in one scenario, before limits of the vehicle.
+    """Return the acceleration in m/s² that the built-in driver wants in one scenario, not yet clipped to its limits.
 
     Also updates two rows of `scene`: since when each entity has been in conflict with the driver
     (`memory[CONFLICT_SINCE]`), and whether the driver yields to this entity (`awareness[YIELDING]`).
@@ -178,7 +178,10 @@ def _is_longer_than(dx, dy, distance):
 
 @plain_kernel
 def _yield_acceleration(behaviour, time_step, lookahead, margin, other, is_in_corridor, is_yielding):
-    """Return the acceleration that yields to a crossing entity (inf if not needed), and whether the driver yields."""
+    """Return the acceleration that yields to a crossing entity, and whether the driver yields.
+
+    For an entity that cuts in, the acceleration is the one that follows the entity. It is inf if neither is needed.
+    """
     samples, ego, v = lookahead.samples, lookahead.ego, lookahead.speed
     enters, _, leg = contact_interval(samples, 0, ego, margin, other, behaviour.horizon)
     is_on_path = enters < math.inf
@@ -300,7 +303,10 @@ def _acceleration_past_standing_person(behaviour, time_step, lookahead, other):
 
 @inline_kernel
 def _idm_interaction(behaviour, speed, gap, leader_speed):
-    """Return the interaction term of the Intelligent Driver Model (Treiber, Hennecke, Helbing 2000, eq. 3 and 4)."""
+    """Return the acceleration of the Intelligent Driver Model without the term of the wanted speed.
+
+    M. Treiber, A. Hennecke, D. Helbing, 2000, eq. 3 and 4.
+    """
     deceleration = math.sqrt(behaviour.acceleration * behaviour.comfortable_deceleration)
     dynamic = speed * behaviour.time_headway + speed * (speed - leader_speed) / (2.0 * deceleration)
     wanted_gap = behaviour.min_gap + max(dynamic, 0.0)

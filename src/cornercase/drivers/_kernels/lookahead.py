@@ -58,7 +58,7 @@ def build_lookahead(behaviour, routes, route, scene, speed, target_speed, buffer
     """Build the path ahead at the present `speed`, with the wanted `target_speed`, both in m/s.
 
     The path reaches as far as the driver gets at this speed within its prediction horizon, or as far as a comfortable
-    stop needs if that is longer, plus a reserve.
+    stop needs if that is longer, plus a reserve; but at most 150 m.
     """
     driven, cos, sin, center_x = scene.driven, scene.cos, scene.sin, scene.own[CENTER_X]
     samples_ahead, points, distance = buffers.samples, routes.points, driven.distance

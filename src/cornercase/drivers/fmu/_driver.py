@@ -49,7 +49,8 @@ class FmuDriver(DrivingFunction):
         file, the mapping follows from the names and units of the FMU's variables.
     step : float, optional
         Size of the FMU's steps in s; the time step of the simulator must be a multiple of it. By default the step size
-        that the FMU declares, or the time step of the simulator if the FMU declares none.
+        that the FMU declares, or the time step of the simulator if the FMU declares none or writes its motion as an OSI
+        message.
     timeout : float, optional
         Longest time in s that a call of the FMU may take.
     mutations : str, optional
