@@ -298,8 +298,8 @@ def test_a_bad_map_gives_a_sentence(folder, tmp_path, content, says):
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        ({"units": {"gap": "kg"}}, "'gap' has the unit 'kg', whose meaning the FMU does not define"),
-        ({"units": {"gap": "furlong"}}, "'gap' has the unit 'furlong', whose meaning the FMU does not define"),
+        ({"units": {"gap": "kg"}}, "'gap' has the unit 'kg', which the FMU does not define by m, s and rad"),
+        ({"units": {"gap": "furlong"}}, "'gap' has the unit 'furlong', which the FMU does not define by m, s and rad"),
         ({"units": {"gap": "m/s"}}, "'gap' has the unit 'm/s', which does not fit m"),
         ({"rename": {"acceleration": "torque"}}, "none of the outputs (torque) is recognized as a decision"),
         (

@@ -2,7 +2,7 @@
 
 Next to the matrix is the journal ``NAME.progress``. Its first line is a fingerprint of the series and the settings. A
 line for each finished square follows, with the CRC-32 of the square. A square is recorded after it has been flushed to
-disk, so a killed process loses only the current square. The same call with ``resume=True`` computes all squares that
+disk, so a killed process loses only unfinished squares. The same call with ``resume=True`` computes all squares that
 are missing or do not match their checksum.
 """
 

@@ -17,12 +17,12 @@ _MIN_WEIGHT: Final = 1e-3
 def find_boundary_pairs(
     points: FloatArray, outcomes: Sequence[str], weights: FloatArray | None = None, count: int = 5
 ) -> list[tuple[int, int, float]]:
-    """Return the `count` nearest pairs of scenarios with different outcomes, nearest first.
+    """Return up to `count` pairs of a scenario and its nearest one with another outcome, nearest first.
 
     No scenario is in two pairs. `points`, shape (n, d), are in the unit cube, and `outcomes` has a label for each
     point. Distances are Euclidean. `weights`, shape (d,), multiply the coordinates of the points, for example by each
-    parameter's share of the variance of the score; by default all are 1. Each pair is given by two indices and the
-    distance.
+    parameter's share of the variance of the score; weights below 0.001 count as 0.001, and by default all are 1. Each
+    pair is given by two indices and the distance.
     """
     scaled = points if weights is None else points * np.maximum(weights, _MIN_WEIGHT)
     labels = np.array(outcomes)

@@ -58,7 +58,8 @@ class CommitteeModel:
 
     A subclass may use more scenarios (`max_process_scenarios`, `max_kernel_scenarios`) and more trees (`n_trees`, and
     `n_trees_per_fold` out of fold). With `may_be_alone`, a single classifier predicts if its out-of-fold log loss is
-    less than the loss of all three together. The other two are then not trained until the next `fit`.
+    less than the loss of all three together. Trees and a forest that do not predict are then not trained until the next
+    `fit`.
 
     `columns` describes the features. `has_prediction` says whether the last coordinate of points is the prediction of
     another study (`SourceStudyModel`). Trees and the processes of features use this prediction only if a random forest
@@ -251,7 +252,7 @@ class CommitteeModel:
     def _train_trees(
         self, indices: IntArray, n_trees: int
     ) -> tuple[ExtraTreesRegressor | None, RandomForestRegressor | None]:
-        """Train trees that map predicted features to classes, and a forest that maps parameters to criticality.
+        """Train trees from parameters and predicted features to classes, and a forest from parameters to criticality.
 
         A model whose weight in the committee is 0 is not trained, and None is returned for it. The trees regress
         indicators of the classes, which is faster than classification. Both give the same trees, since the split with

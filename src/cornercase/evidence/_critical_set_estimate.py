@@ -70,13 +70,14 @@ _DRAWS_AT_ONCE: Final = 40
 class CriticalSet:
     """Estimate of the set of all critical scenarios of a space, from the scenarios that were run.
 
-    A Gaussian process of the scores (`fit_boundary_process`) predicts each scenario of the initial design, and each
-    audit (scenario drawn at random as a check), from all other scenarios. The quality of these predictions calibrates
-    the probability that a scenario is critical (`ProbitCalibration`). Critical sets are drawn with these probabilities.
-    The correlation between points is that of the process. Each draw has its own calibration, from the posterior of the
-    calibration.
+    A Gaussian process of the scores (`fit_boundary_process`) predicts each scenario of the initial design from all
+    others of `points`, and each audit (scenario drawn at random as a check) from all of `points`. The quality of these
+    predictions calibrates the probability that a scenario is critical (`ProbitCalibration`). Critical sets are drawn
+    with these probabilities. The correlation between points is that of the process. Each draw has its own calibration,
+    from the posterior of the calibration.
 
-    A critical scenario counts as found if it was run, or if the mean of the process there is beyond the threshold.
+    A critical scenario counts as found if it is one of `points`, or if the mean of the process there is at or beyond
+    the threshold.
     Audits never affect what is found. With `features`, a `CommitteeModel` of three classifiers, including the
     process, predicts instead of the process alone. A scenario then counts as found if the predicted probability is at
     least `PREDICTED_CRITICAL`. The committee's predictions of the scenarios that the search chose calibrate the
@@ -167,7 +168,7 @@ class CriticalSet:
     def _predict_margin_and_deviate(self, encoded_points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return two predictions at encoded points (m, e), (m,) each: the margin, and the deviate z.
 
-        The margin is negative if the model predicts *critical*. z is the distance to the threshold in standard
+        The margin is 0 or less if the model predicts *critical*. z is the distance to the threshold in standard
         deviations.
         """
         encoded_points = append_source_prediction(self._source_model, encoded_points)
@@ -273,7 +274,7 @@ class CriticalSet:
 
     @cached_property
     def is_exhausted(self) -> bool:
-        """True if all scenarios of a finite space were run; the fraction is then exact and nothing is missed."""
+        """True if all scenarios of a space of at most 16,384 were run: the fraction is exact, and nothing is missed."""
         return self._sample.is_complete and bool((self._known_outcome != 0.0).all())
 
     @property
@@ -283,7 +284,7 @@ class CriticalSet:
 
     @property
     def interval_unavailable(self) -> str | None:
-        """Reason why `critical_fraction` and `missed_fraction` have no interval; None if they have one.
+        """Reason why `critical_fraction` and `missed_fraction` have no interval; None if `critical_fraction` has one.
 
         An interval needs enough scenarios that were chosen independently of scores. The other scenarios do not show how
         often predictions are wrong in the rest of the space.
@@ -353,11 +354,11 @@ class CriticalSet:
     def missed_upper_bound(self, confidence: float = DEFAULT_CONFIDENCE) -> float:
         """Return an upper bound of the missed fraction of the critical set; 1 if there is no interval.
 
-        The missed fraction is below the bound with the probability `confidence`. In contrast to `missed_fraction`, each
-        draw may have one more critical region: a ball at a random place, in which no scenario was run and to which no
-        score points. The prior odds of this region are even, and all sizes of `SURPRISE_RATES` are equally probable.
-        Each size is weighted by the probability that a region of this size escapes the scenarios that were run
-        (`unexplored_fraction`).
+        While nothing critical was run, the bound is 1, or 0 if all scenarios were run. The missed fraction is below the
+        bound with the probability `confidence`. In contrast to `missed_fraction`, each draw may have one more critical
+        region: a ball at a random place, in which no scenario was run and to which no score points. The prior odds of
+        this region are even, and all sizes of `SURPRISE_RATES` are equally probable. Each size is weighted by the
+        probability that a region of this size escapes the scenarios that were run (`unexplored_fraction`).
         """
         if self.missed_interval_unavailable or not self._critical.any():
             return float(not self.is_exhausted)

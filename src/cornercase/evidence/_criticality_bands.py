@@ -123,8 +123,9 @@ def find_bands(metric: Metric, scores: FloatArray) -> Bands | None:
 
     The bounds are published thresholds if the metric has any and they divide the scores into at least two bands.
     Otherwise the bounds are natural breaks: they form the three groups with the least sum of squared deviations from
-    the group means (W. D. Fisher, "On grouping for maximum homogeneity", 1958; G. F. Jenks, 1967). Two distinct scores
-    give two bands. A bound need not lie in a gap: neighbouring scores may lie in different bands.
+    the group means (W. D. Fisher, "On grouping for maximum homogeneity", 1958; G. F. Jenks, 1967). With more than 500
+    distinct scores, the sum is only nearly the least. Two distinct scores give two bands. A bound need not lie in a
+    gap: neighbouring scores may lie in different bands.
 
     Sources of the thresholds: S. Hirst, R. Graham, "The format and presentation of collision warnings" (1997); B. L.
     Allen, B. T. Shin, P. J. Cooper, "Analysis of traffic conflicts and collisions" (1978); D. Gettman et al.,
@@ -184,7 +185,8 @@ def explained_variance(scores: FloatArray, labels: IntArray) -> float:
 def _natural_breaks(scores: FloatArray, n_groups: int) -> FloatArray:
     """Return the natural breaks of scores: the largest score of each group except the last.
 
-    The groups have the least sum of squared deviations from the group means.
+    The groups have the least sum of squared deviations from the group means, or nearly the least with more than 500
+    distinct scores.
     """
     values, counts = np.unique(scores, return_counts=True)
     if len(values) > _MAX_DISTINCT:
@@ -217,7 +219,10 @@ def _natural_breaks(scores: FloatArray, n_groups: int) -> FloatArray:
 
 
 def _refine_breaks(scores: FloatArray, limits: FloatArray) -> FloatArray:
-    """Move each break to the middle between the means of its two groups, until no break changes (Lloyd's algorithm)."""
+    """Move each break to the largest score up to the middle between the means of its two groups (Lloyd's algorithm).
+
+    This is repeated until no break changes, at most 100 times.
+    """
     for _ in range(_MAX_REFINEMENTS):
         labels = np.searchsorted(limits, scores, side="left")
         means = np.array([scores[labels == k].mean() for k in range(len(limits) + 1)])

@@ -14,13 +14,14 @@ _INTERVAL: Final = (0.05, 0.95)
 
 @dataclass(frozen=True)
 class Estimate:
-    """An estimated quantity: mean and 90 % credible interval.
+    """An estimated quantity with its 90 % interval.
 
     Attributes
     ----------
     value, low, high : float
-        Mean, 5 % and 95 % quantile. If the mean lies outside the interval, the interval is extended to the mean, for
-        example for a quantity that is nearly always 0.
+        Mean, 5 % and 95 % quantile of draws. If the mean lies outside the interval, the interval is extended to the
+        mean, for example for a quantity that is nearly always 0. For a fraction from audits alone, their proportion
+        and its Clopper-Pearson interval.
 
     Examples
     --------

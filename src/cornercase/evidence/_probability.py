@@ -30,7 +30,8 @@ class Probability:
     method : str
         Description of the method.
     error : float or None
-        Relative standard error; None if the event did not occur, or if only a part of a finite space was run.
+        Relative standard error; 0 if all scenarios of a finite space were run, None if only a part of them was run, or
+        if the event occurred in none of the drawn scenarios.
     scenarios, met : int
         Number of scenarios, and number of scenarios in which the event occurred.
     effective : float
@@ -112,7 +113,8 @@ def probability_from_weights(weights: FloatArray, met: BoolArray, common_error: 
     common.
 
     The interval is computed for the logarithm, since the estimate is skewed: mostly slightly too low, rarely much too
-    high. It uses quantiles of Student's t; the degrees of freedom are the effective number of occurrences minus 1.
+    high. It uses quantiles of Student's t; the degrees of freedom are the effective number of occurrences minus 1, but
+    at least 1.
     """
     parts = np.where(met, weights, 0.0)
     total, count = float(parts.sum()), len(parts)

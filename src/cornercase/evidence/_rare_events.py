@@ -253,7 +253,7 @@ class ImportanceSampling:
 def fit_initial_proposal(
     space: ParameterSpace, points: FloatArray, scores: FloatArray, criterion: Criterion, seed: int
 ) -> TMixture | None:
-    """Fit a proposal for critical scenarios, by a Gaussian process of known scores; None if there are too few scores.
+    """Fit a proposal for critical scenarios, by a Gaussian process of known scores; None with too few or equal scores.
 
     The proposal is a distribution in the space in which the parameters are standard normal. `scores` are lower if more
     critical, and NaN for a failed scenario.

@@ -94,7 +94,7 @@ def is_small_and_finite(space: ParameterSpace) -> bool:
 
 
 def _all_scenarios(space: ParameterSpace, first: FloatArray, seed: int) -> tuple[FloatArray, FloatArray]:
-    """Return all scenarios of a finite space, and the fraction of the space that each represents.
+    """Return all scenarios of a finite space with a probability above 0, and the fraction that each represents.
 
     The scenarios in `first` come first.
     """

@@ -24,7 +24,8 @@ from cornercase.drivers.fmu._instance import C_TYPES, FATAL, WARNING, Fmu, FmuEr
 from cornercase.drivers.fmu._osmp_buffers import MessageBuffers, pass_message, read_message
 
 PROGRESS_BYTES: Final = 16
-"""Size of the header of the shared memory: a counter that grows with each call of the FMU, and the current scenario."""
+"""Size of the header of the shared memory: a counter, which grows with each start and step of an instance, and the
+current scenario."""
 _MAX_LINES: Final = 20
 # Time in s between two checks that the parent process is alive.
 _LIFE_INTERVAL: Final = 1.0

@@ -46,7 +46,8 @@ class MappedVariable:
     causality : {"input", "output", "parameter"}
         Role in the FMU; a local variable that a map reads counts as an output.
     unit : str
-        Unit that the FMU declares, or the unit that is assumed if the FMU declares none.
+        Unit that the FMU declares. If it declares none, the unit in the map or an assumed unit for a variable that has
+        a quantity or makes a decision, and otherwise empty.
     source : str
         For an input, the quantity or number that cornercase writes to it; for an output, the decision of the driver
         that cornercase reads from it; for a parameter, the value that was given. Empty if the variable is not used.
@@ -159,7 +160,7 @@ class VariableMap:
         )
 
     def _map_inputs(self, table: Mapping[str, Any] | None) -> list[Input]:
-        """Return the inputs that the map file names, or without a map file the inputs whose names are recognized."""
+        """Return the inputs in the table [inputs] of the map, or without this table those with recognized names."""
         variables = self._model.with_causality("input")
         if table is None:
             named = {
@@ -295,8 +296,8 @@ class VariableMap:
         name = given or variable.unit_name
         if unit is None:
             raise InputError(
-                f"{where}: '{variable.name}' has the unit '{name}', whose meaning the FMU does not define; define the"
-                " unit in the FMU by base units."
+                f"{where}: '{variable.name}' has the unit '{name}', which the FMU does not define by m, s and rad;"
+                " define the unit in the FMU by these base units."
             )
         if not has_same_dimension(unit, symbol):
             raise InputError(f"{where}: '{variable.name}' has the unit '{name}', which does not fit {symbol}.")

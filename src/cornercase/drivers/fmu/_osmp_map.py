@@ -30,8 +30,8 @@ class OsmpMap:
 
     The FMU is given `inputs` in each step, and `static` once before the first step. `has_roads_once` is True if
     `static` contains the roads. `decides` says whether a message may decide the motion of the vehicle, and `motion` is
-    this message; None if the FMU writes no such message. `listing` has every message with its use (empty if unused) and
-    a remark.
+    this message; None if none may decide, or the FMU writes no such message. `listing` has every message with its use
+    (empty if unused) and a remark.
     """
 
     def __init__(self, variables: Sequence[MessageVariable], *, decides: bool) -> None:

@@ -33,7 +33,7 @@ MAX_PROCESSES: Final = 32
 """Maximum number of processes at the same time, for an FMU that allows only one instance per process."""
 # Scenarios per process: a larger batch is divided between several processes.
 _SCENARIOS_PER_PROCESS: Final = 100
-# Least time limit in s for the start of a process and of a batch.
+# Least time limit in s for the start of a process, and for the start and the end of a batch.
 _START_TIMEOUT: Final = 60.0
 # Log lines that an error message shows, their total length in characters, and bytes of the log that are read.
 _MAX_LINES, _MAX_LOG_LENGTH, _MAX_LOG_BYTES = 3, 300, 1_000_000
@@ -85,7 +85,7 @@ class FmuProcesses:
     """Pool of processes that run the instances of an FMU, one instance per scenario of a batch.
 
     If `once_per_process`, each process runs one instance only. `timeout` is the longest time in s that a call of the
-    FMU may take.
+    FMU may take in a step.
     """
 
     def __init__(self, source: FmuSource, *, once_per_process: bool, timeout: float) -> None:
@@ -131,8 +131,8 @@ class FmuProcesses:
     ) -> dict[int, str]:
         """Step the active scenarios; return the errors of failed scenarios, by scenario.
 
-        Raises `FmuProcessError` if a process crashed or hung. `messages` are the OSI messages by scenario.
-        `read_outputs` and `read_messages` return the results of the step.
+        Raises `FmuProcessError` if a process crashed or hung, or if the FMU returned the status Fatal. `messages` are
+        the OSI messages by scenario. `read_outputs` and `read_messages` return the results of the step.
         """
         failures: dict[int, str] = {}
         try:

@@ -51,7 +51,7 @@ KNOWN_UNITS: Final[Mapping[str, Unit]] = {
     "%": Unit(0.01, (0, 0, 0)),
     "-": Unit(1.0, (0, 0, 0)),
 }
-"""Known units by symbol, for FMUs that name a unit without defining it."""
+"""Known units by symbol, for maps, and for FMUs that name a unit without defining it."""
 
 
 def has_same_dimension(unit: Unit, symbol: str) -> bool:

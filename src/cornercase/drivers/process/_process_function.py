@@ -149,7 +149,7 @@ class ProcessFunction(DrivingFunction):
         Parameters
         ----------
         changes : mapping of str to float
-            New values by name of the option.
+            New values by name of the option; they are rounded to six significant digits.
 
         Returns
         -------
@@ -402,7 +402,10 @@ def _find_misspelt_option(name: str) -> str | None:
 
 
 def _split_options(text: str) -> tuple[str, dict[str, Any]]:
-    """Split a text into command and options: the part after the last colon, if its first item is ``name=value``."""
+    """Split a text into command and options: the part after the last colon, if its first item is ``name=value``.
+
+    The part belongs to the command if an item that is not ``name=value`` has several words.
+    """
     command, colon, ending = text.rpartition(":")
     items = [item.strip() for item in ending.split(",")]
     pairs = [item.partition("=") for item in items]

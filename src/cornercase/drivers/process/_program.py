@@ -189,7 +189,7 @@ class Connection(Peer):
 
 
 def parse_address(command: str) -> tuple[str, int]:
-    """Return host and port of an address ``tcp://HOST:PORT``; `InputError` for any other text."""
+    """Return host and port of an address ``tcp://HOST:PORT``; `InputError` if one of the two is missing or wrong."""
     host, _, port = command.removeprefix(TCP_PREFIX).rpartition(":")
     if not host or not port.isdecimal() or not 0 < int(port) < 65536:
         raise InputError(
@@ -205,9 +205,9 @@ def resolve_command_words(command: str, words: Sequence[str]) -> list[str]:
     path = shutil.which(program) if is_path else find_program(program)
     if path is None:
         if Path(program).is_file():
-            advice = f"give it by its folder, exec:./{program}" if not is_path else "make it executable"
+            advice = f"on PATH; give it by its folder, exec:./{program}" if not is_path else "executable; make it so"
             raise InputError(
-                f"The driver 'exec:{command}' cannot be started since '{program}' is not executable; {advice}, or name"
+                f"The driver 'exec:{command}' cannot be started since '{program}' is not {advice}, or name"
                 f" its interpreter, as in exec:python {program}."
             )
         raise InputError(f"The driver 'exec:{command}' cannot be started since there is no program '{program}'.")

@@ -115,7 +115,10 @@ class Step:
 
 
 class View:
-    """View of one scenario for a driving function; attributes are as in `cornercase.drivers.View`."""
+    """View of one scenario for a driving function; attributes are as in `cornercase.drivers.View`.
+
+    But there are no lanes and no speed limit, and `signals` has only the states of the signals that the scenario sets.
+    """
 
     def __init__(self, step: Step, row: int) -> None:
         self._step, self._row = step, row
@@ -287,7 +290,8 @@ def serve(
 
     `make` is a class that derives from `Function`, or a function that returns an object of this kind. `ahead` are the
     distances in m at which cornercase sends the path, for `View.path`. With `port`, the function listens on this port
-    for the driver ``exec:tcp://HOST:PORT``, one connection after the other, instead of using stdin and stdout.
+    for the driver ``exec:tcp://HOST:PORT``, one connection after the other without end, instead of using stdin and
+    stdout.
     `one_at_a_time`: True if only one scenario may run at a time, because the objects share something.
     """
     serve_batches(ScalarAdapter(make, one_at_a_time), ahead, port, host)
@@ -361,7 +365,7 @@ def _answer_hello(message: Mapping[str, Any], function: BatchFunction, ahead: Li
 
 
 def _names_of_parameters(make: Callable[..., Function]) -> Optional[List[str]]:
-    """Return the names of the options that a constructor takes; None if it takes options of any name."""
+    """Return the names of the options that a constructor takes; None if it takes any name, or cannot be inspected."""
     try:
         parameters = list(inspect.signature(make).parameters.values())
     except (TypeError, ValueError):
@@ -402,7 +406,7 @@ def pack_doubles(values: Any) -> bytes:
 
 
 def describe(error: BaseException) -> str:
-    """Describe an exception in one line, with the file and line in which it was raised."""
+    """Describe an exception by its type and message, with the file and line in which it was raised."""
     frame = traceback.extract_tb(error.__traceback__)[-1]
     text = "%s: %s" % (type(error).__name__, error)
     return "%s (%s line %s in %s: %s)" % (

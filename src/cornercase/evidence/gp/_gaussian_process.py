@@ -118,7 +118,7 @@ def fit_boundary_process(
     is the prediction of a `SourceStudyModel`.
     """
     critical = criterion.is_critical(scores)
-    # Keep all scenarios of the rarer class in the subset, since length scales around them are learned from them.
+    # Prefer scenarios of the rarer class for the subset, since length scales around them are learned from them.
     rare = critical if 2 * critical.sum() < len(critical) else ~critical
     subset = indices_with_rare_values(len(points), MAX_EXACT_VALUES, rare)
     side, dims = np.where(critical[subset], 1.0, -1.0), points.shape[1]
@@ -265,7 +265,10 @@ class GaussianProcess:
         return other
 
     def closed_form(self) -> ClosedFormPredictor:
-        """Return all that determines predictions at any point, for programs in other languages."""
+        """Return all that determines predictions at any point, for programs in other languages.
+
+        There may be at most 4,000 values, unless the process is the result of `condense`.
+        """
         weights, inverse = self._factors
         return ClosedFormPredictor(self.kernel, self._mean, self._posterior.points, weights, inverse)
 

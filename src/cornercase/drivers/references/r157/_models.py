@@ -58,9 +58,9 @@ class RelativeMotion(NamedTuple):
     `gap` and `lateral_gap`: gap in m between the boxes along and across the path. `gap` is negative if the other is
     beside or behind, `lateral_gap` if the boxes overlap laterally. `approach_speed`: speed of the other towards the
     path in m/s. `speed` and `other_speed`: speeds of driver and other along the path in m/s. `acceleration`:
-    acceleration of the driver in m/s². `total_length`: sum of the lengths of both boxes in m. `was_ahead`: True if
-    the driver approaches an entity that has been in the driver's corridor since it was first seen, or that entered the
-    corridor with a time to collision above 2 s.
+    acceleration of the driver in m/s². `total_length`: sum of the lengths of both boxes along the path in m.
+    `was_ahead`: True if the driver approaches an entity that has been in the driver's corridor since it was first seen,
+    or that entered the corridor with a time to collision above 2 s.
     """
 
     gap: FloatArray
@@ -157,7 +157,7 @@ def rss_lateral_distance(approach_speed: FloatArray) -> FloatArray:
 
 
 def time_to_collision(motion: RelativeMotion) -> FloatArray:
-    """Return the time in s until the gap closes at constant speeds; infinite if the gap does not close."""
+    """Return the time in s until the gap closes at constant speeds; infinite if it does not close or is not above 0."""
     closing = motion.speed - motion.other_speed
     closes = (closing > 0.0) & (motion.gap > 0.0)
     return np.where(closes, motion.gap / np.where(closes, closing, 1.0), np.inf)

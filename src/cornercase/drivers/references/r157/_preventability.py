@@ -63,7 +63,8 @@ def assess_preventability(
     The reference drivers of UN Regulation No. 157 do not apply to every encounter; `collides` is None if they do not.
     The entity that the ego meets, and the entity that the reference driver collides with, must be motorway vehicles.
     Neither of these two entities may come from behind, with its whole box behind the ego just before contact. Within
-    the last 3 s before the encounter, the direction of each of them may differ by at most 45° from the ego's.
+    the last 3 s before the encounter, the direction of each of them may differ by at most 45° from the ego's while it
+    is faster than 0.5 m/s.
 
     If the time to collision is above 2 s when a vehicle cuts in, the encounter ends without danger for ``cc-human``.
     Later collisions with that vehicle do not count (Annex 4, Appendix 3).

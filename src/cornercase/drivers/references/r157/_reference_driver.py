@@ -36,7 +36,7 @@ class ReferenceDriver(VariedDriver):
     Raises
     ------
     InputError
-        If there is no such reference driver, or the delay is below 0.
+        If there is no such reference driver, or the delay is below 0 or not finite.
 
     References
     ----------

@@ -72,7 +72,7 @@ def steering_response(parameters):
 
 @plain_kernel
 def begin_step(vehicles, n, speed, acceleration, request, steering):
-    """Store the requests for a time step; reset the actuators if something else has moved the vehicle."""
+    """Store the requests for a time step; reset the actuators if something else has changed the vehicle's motion."""
     state, requests = vehicles.state[n], vehicles.requests[n]
     if not abs(speed - state[SPEED]) <= _TOLERANCE:
         state[ACCELERATION] = acceleration if math.isfinite(acceleration) and speed > 0.0 else 0.0
@@ -88,8 +88,8 @@ def begin_step(vehicles, n, speed, acceleration, request, steering):
 def longitudinal_grip(vehicles, n, grip, lateral, time_step):
     """Return the highest longitudinal acceleration in m/s² that the tyres allow next to a lateral acceleration.
 
-    `grip` is the highest total acceleration of the tyres. If the requested and the `lateral` acceleration exceed it
-    together, both are reduced by the same factor.
+    `grip` is the highest total acceleration of the tyres. If the requested and the `lateral` acceleration, each limited
+    to `grip`, exceed it together, both are reduced by the same factor.
     """
     requests = vehicles.requests[n]
     steps = int(vehicles.parameters[n, DELAY] / time_step + _ROUNDING)

@@ -61,7 +61,7 @@ def move_kinematic_vehicle(vehicles, n, motion, acceleration, steering, friction
 def _is_exact_circle(parameters, speed, steering, grip):
     """Return whether a vehicle moves exactly along a circle in this step.
 
-    This holds without delays and rate limits, if the tyres are far from their friction limit.
+    This holds without delays, lags and rate limits, if the tyres are far from their friction limit.
     """
     is_late = max(parameters[DELAY], parameters[LAG], parameters[STEERING_DELAY], parameters[STEERING_LAG]) > 0.0
     is_slow = min(parameters[MAX_JERK], parameters[MAX_STEERING_RATE]) < math.inf
