@@ -335,7 +335,10 @@ def simulator_from_study(meta: StudyMeta, file: Path) -> Simulator:
 
 
 def _read_simulator_text(meta: StudyMeta, file: Path) -> str:
-    """Return a study's simulator as text, with its options only if all are numbers: a text could name a program."""
+    """Return a study's simulator as text; with its options only if each is a number, true or false.
+
+    Other texts could name a program.
+    """
     name, _, options = meta.simulator.partition(":")
     if name == IMPORTED_SIMULATOR:
         raise InputError(f"{file}: contains imported recordings, so no further scenario can be run.")

@@ -76,6 +76,11 @@ class Estimation:
     probabilities come from different scenarios, they may contradict each other slightly, within their intervals.
     `table` lists the method by which each probability was estimated.
 
+    There are three exceptions. The probability of an event that occurs in none of the later scenarios is its fraction
+    of the first scenarios. If the budget covers all scenarios of a small space, all are run, and the probabilities are
+    exact. If the explored study shows too little, and the first scenarios have at most two different scores, all
+    scenarios are drawn from the distributions themselves.
+
     Attributes
     ----------
     study : Path
@@ -90,7 +95,8 @@ class Estimation:
     critical_given_encounter, collision_given_encounter : Probability or None
         Conditional probabilities, given that there is an encounter; None if unknown.
     scenarios, n_learning, failed : int
-        Numbers of scenarios: in total, used for learning only, and failed.
+        Numbers of scenarios: in total, used for learning, and failed. The scenarios used for learning include the first
+        ones, drawn from the distributions themselves, which also give the probability of an encounter.
     warnings : tuple of str
         Reasons not to trust the result, as sentences.
     interrupted : bool

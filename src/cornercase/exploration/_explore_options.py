@@ -36,8 +36,8 @@ class SpaceOptions:
 
     space: Path | str | None = _problem(
         None, "ParameterValueDistribution file.", metavar="FILE.xosc",
-        docs="ParameterValueDistribution file. `space`, `ranges`, `vary` and `continuous` need a `scenario` that is a"
-        " path.")
+        docs="ParameterValueDistribution file. `space`, `ranges`, `vary` and `continuous` cannot be given with a"
+        " `LogicalScenario`, which has a space already.")
     ranges: tuple[str, ...] = _problem(
         (), "Add or replace a parameter.", flag="--range", metavar="NAME=LOW:HIGH[:STEP]",
         docs="Each ``NAME=LOW:HIGH[:STEP]`` adds a parameter to the space, or replaces the parameter of this name.")

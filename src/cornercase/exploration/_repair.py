@@ -89,7 +89,8 @@ def repair(
         The explored file. By default it is searched for at its stored path, next to the study and in the current
         folder, and recognized by its fingerprint.
     simulator : str, optional
-        By default the simulator of the study. The study's options of the simulator are only used if all are numbers.
+        By default the simulator of the study. The study's options of the simulator are only used if each is a number,
+        true or false.
     drivers : mapping of str to str, SystemUnderTest or Driver, optional
         Your own drivers by name of the entity, if the study was explored with your own drivers; presets are taken from
         the study.

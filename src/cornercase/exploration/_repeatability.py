@@ -23,9 +23,10 @@ def check_repeatability(
     `run_again` repeats all runs of a scenario with the seeds of these runs; the study holds the recording of one of
     them. `is_random` returns whether sensors are random, so that runs with other seeds differ.
 
-    The check is done once per study, and only for simulators that claim to be deterministic. Equal recordings prove
-    nothing, but the check finds random numbers without a seed and state that persists between runs. If runs differ,
-    there is a warning that ends with `advice`, unless `advice` is empty. Returns False if no scenario has finished yet.
+    The check is done once per study, and only for simulators that claim to be deterministic. After a failure such as a
+    time-out, it is done again when the exploration is continued. Equal recordings prove nothing, but the check finds
+    random numbers without a seed and state that persists between runs. If runs differ, there is a warning that ends
+    with `advice`, unless `advice` is empty. Returns False if no scenario has finished yet.
     """
     row = next((row for row in study.rows() if row.state == "done"), None)
     if row is None:

@@ -187,7 +187,7 @@ class ConditionState:
         return next(decisive, pending[0] if pending else None)
 
     def is_fulfilled(self, outcomes: Mapping[str, bool | None]) -> bool | None:
-        """Return whether the condition holds; None if that depends on a reference driver without an outcome."""
+        """Return whether the condition holds; None if the run and the given outcomes do not show this."""
         states = [evaluation.with_references(outcomes).is_fulfilled() for evaluation in self.evaluations]
         return True if True in states else None if None in states else False
 

@@ -89,8 +89,9 @@ class Evaluation:
         """Return the robustness from each instant on, shape (T,); all NaN if the run does not show the verdict.
 
         The verdict is whether the expression holds from the first instant on. The run does not show the verdict if the
-        known parts do not violate the expression, but unknown parts could; or if no part is known and one part is a
-        bound. Otherwise unknown parts are assumed to contradict the verdict, so that its margin is not overstated.
+        known parts do not violate the expression, but unknown statements could; or if no part is known and one part is
+        a bound. Otherwise unknown statements are assumed to contradict the verdict, so that its margin is not
+        overstated.
         """
         unknown = [leaf for leaf, values in self.leaves.items() if not values.is_known]
         if not unknown or not self.holds()[0]:

@@ -178,8 +178,8 @@ class Expression:
         -------
         ndarray of float64, shape (T,)
             Positive if the expression holds, negative if it is violated, in `unit`. The verdict stays the same as long
-            as each compared signal changes by less than this amount. inf if no change of the signals can violate the
-            expression, -inf if no change can fulfil it.
+            as the difference between the two sides of each bound changes by less than this amount. inf if no change of
+            the signals can violate the expression, -inf if no change can fulfil it.
 
         Raises
         ------

@@ -16,8 +16,9 @@ class GapTime(Metric):
 
     ``|d / v - d_other / v_other|`` in s. d and d_other are the distances from the centres of the ego's and the other's
     box to the crossing along the tracks, as in `TrajectoryDistance`; v and v_other are the present speeds. The value is
-    0 if both arrive together, and inf if at least one of them stands. Not defined if no crossing lies ahead of both, if
-    the tracks do not cross, or if one of the two does not exist. Least critical value (cap): 10 s.
+    0 if both arrive together, and inf if at least one of them stands before the crossing. An entity that stands on the
+    crossing has arrived. Not defined if no crossing lies ahead of both, if the tracks do not cross, or if one of the
+    two does not exist. Least critical value (cap): 10 s.
 
     Source: gap time, B. L. Allen, B. T. Shin, P. J. Cooper, "Analysis of traffic conflicts and collisions",
     Transportation Research Record 667 (1978), predicted with constant speeds.

@@ -253,7 +253,7 @@ def _has_real_dtype(value: object) -> bool:
 def _combine_most_critical(metric: Metric, others: Sequence[str], results: Sequence[MetricResult]) -> MetricResult:
     """Combine the results against several other entities into the most critical one.
 
-    At least one of the entities exists in the recording.
+    `others` are the entities that exist in the recording, or a single entity if none exists.
     """
     courses = metric.to_minimize(np.stack([np.asarray(result.course, dtype=np.float64) for result in results]))
     scores = [metric.to_minimize(result.score) for result in results]

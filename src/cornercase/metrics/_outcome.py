@@ -47,8 +47,10 @@ class Impact:
     versions. `manner` is one of these:
 
     - ``"while it stands"``: the ego stands.
-    - ``"from behind"``: the ego hits an entity ahead that moves in the same direction.
-    - ``"its rear"``: an entity behind that moves in the same direction hits the ego.
+    - ``"from behind"``: the centre of the other entity is ahead of the ego's, and their headings differ by less than
+      45°.
+    - ``"its rear"``: the centre of the other entity is not ahead of the ego's, and their headings differ by less than
+      45°.
     - ``"otherwise"``: none of these.
     """
 
@@ -62,7 +64,7 @@ class Impact:
     def shown_manner(self) -> Manner:
         """Manner of the collision that reports show.
 
-        If both entities move in the same direction, but are known not to touch front to rear, this is ``"otherwise"``.
+        For ``"from behind"`` and ``"its rear"``, if both are known not to touch front to rear, this is ``"otherwise"``.
         """
         sides = {"from behind": ("front", "rear"), "its rear": ("rear", "front")}.get(self.manner)
         if sides is None or self.fault is None or None in self.fault.sides or self.fault.sides == sides:
@@ -76,9 +78,10 @@ class PathRelation:
 
     `relation` is one of these:
 
-    - ``"lane"``: both move in the same direction at the beginning and at the end, in one lane or in adjacent lanes.
-    - ``"crossing"``: the areas that both boxes sweep overlap, or would overlap if both went straight on for 20 m after
-      the end.
+    - ``"lane"``: both head in the same direction at the beginning and at the end, in one lane or in adjacent lanes, or
+      on paths that overlap.
+    - ``"crossing"``: the directions differ, and the areas that both boxes sweep overlap. This includes areas that would
+      overlap if both went straight on for 20 m after the end, if one entity reached the overlap before the end.
     - ``"apart"``: neither ``"lane"`` nor ``"crossing"``.
     - ``"absent"``: at least one of the two entities never exists.
 

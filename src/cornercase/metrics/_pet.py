@@ -37,7 +37,7 @@ class Pet(Metric):
         in rad, length and width in m.
     signed : bool, default False
         If both were in the area at once, give the (negative) time by which the second came too early, instead of NaN.
-        An entity that has not left counts as leaving at the end of the recording.
+        An entity that has not left counts as leaving at its last instant.
     severity : bool, default False
         Score collisions below 0, harder ones lower (`Metric.score_with_contact`).
 
@@ -85,7 +85,7 @@ class EncroachmentTime(Metric):
     ``t_out - t_in`` in s. The conflict area is the overlap of the areas that both bounding boxes sweep in the whole
     recording, as in `Pet`. It depends on where the other entity goes, not on when. If there are several areas or
     visits, the longest visit counts. The value is known only after the recording, so the course has it at all instants.
-    The value is inf if the ego comes to a stop in the area. It is not defined (NaN at all instants) if there is no
+    The value is inf if the ego stands in the area at the end. It is not defined (NaN at all instants) if there is no
     conflict area, or if the recording ends while the ego drives through the area. Least critical value (cap): 0. Most
     critical value: 60 s, which is also the score of a recording in which both touch.
 

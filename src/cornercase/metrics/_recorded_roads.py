@@ -1,4 +1,4 @@
-"""Reading of the roads of recordings, each file once."""
+"""Reading of the roads of recordings; the roads of the last 8 files are kept."""
 
 from __future__ import annotations
 
@@ -9,7 +9,10 @@ from cornercase.roads._network import RoadNetwork
 
 
 def read_recorded_roads(path: Path) -> RoadNetwork:
-    """Read the roads of a recording from an OpenDRIVE file; a file that did not change is read only once."""
+    """Read the roads of a recording from an OpenDRIVE file.
+
+    If the file is one of the last 8 files and did not change, it is not read again.
+    """
     try:
         changed = path.stat().st_mtime_ns
     except OSError:

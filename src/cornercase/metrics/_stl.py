@@ -19,7 +19,7 @@ class Stl(Metric):
     """Robustness of a formula of signal temporal logic: positive if it holds, negative if it is violated.
 
     The course is the robustness from each instant on; the score is the robustness at the first instant. The unit is
-    the common unit of the bounds in the formula, or 1 if they have several units. Not defined (NaN at all instants) if
+    the common unit of all parts of the formula, or 1 if they have several units. Not defined (NaN at all instants) if
     no bound was ever defined, or if the result depends on something that the run does not show, such as the lanes if
     the roads are unknown.
 

@@ -25,10 +25,10 @@ class TrafficQuality(Metric):
     ``penalty * sqrt(macro² + micro² + nano² + individual²)``, without unit, over all n entities that exist:
 
     - *macro*, the traffic as a whole: standard deviation over mean of all speeds (of the population);
-    - *micro*, how crowded it is around the ego: the number of entities whose centre lies within the radius
+    - *micro*, how crowded it is around the ego: the number of other entities whose centre lies within the radius
       r = (0.36 v)² + L + v of the ego's, with the ego's speed v in m/s and length L in m, over n;
-    - *nano*, the traffic around the ego: standard deviation over mean of the speeds of these entities, without the
-      ego; 0 if there are none;
+    - *nano*, the traffic around the ego: standard deviation over mean of the speeds of these entities; 0 if there are
+      none;
     - *individual*, how the ego drives: (\|mean a\| / 1.5 m/s² + mean v / 13.89 m/s) / 2, means over the
       samples of the last 2 s, fewer at the beginning;
     - *penalty*, the distance: exp(-d / 5 m), with the smallest gap d between the boxes of any two entities: 1
@@ -147,7 +147,7 @@ _TERMS: Final = {
 def _coefficient_of_variation(speed: FloatArray, is_counted: BoolArray) -> FloatArray:
     """Return the coefficient of variation (standard deviation over mean) of the counted speeds at each instant.
 
-    It is 0 if no speed counts, or if all of them are 0.
+    It is 0 if no speed counts, or if their mean is below 1e-5 m/s.
     """
     count = np.maximum(is_counted.sum(0), 1)
     mean = np.where(is_counted, speed, 0.0).sum(0) / count
@@ -157,7 +157,10 @@ def _coefficient_of_variation(speed: FloatArray, is_counted: BoolArray) -> Float
 
 
 def _running_mean_from(first: IntArray, values: FloatArray) -> FloatArray:
-    """Return for each instant the mean of the finite values from its index in `first` on; 0 if there are none."""
+    """Return the mean of the finite values from `first` to each instant, shape (T,); 0 if there are none.
+
+    `first`, shape (T,), has the index at which the mean begins.
+    """
     is_finite = np.isfinite(values)
     total = np.append(0.0, np.cumsum(np.where(is_finite, values, 0.0)))
     count = np.append(0, np.cumsum(is_finite))

@@ -70,9 +70,10 @@ def evenly_spaced_indices(count: int, max_count: int) -> IntArray:
 
 
 def indices_with_rare_values(count: int, max_count: int, is_rare: BoolArray | None) -> IntArray:
-    """Choose at most `max_count` of `count` values, up to half of them rare ones; return their indices.
+    """Choose at most `max_count` of `count` values; return their indices.
 
-    The chosen rare values are evenly spaced among all rare values, the chosen other values among all other values.
+    If there are more values, at most half of `max_count` are rare ones. The chosen rare values are evenly spaced among
+    all rare values, the chosen other values among all other values.
     """
     if is_rare is None or count <= max_count or not is_rare.any():
         return evenly_spaced_indices(count, max_count)
@@ -94,9 +95,10 @@ def fit_kernel(
 
     The prior keeps the length scales in a plausible range if there are few points. The median of the prior grows with
     the root of the number of dimensions. `values` must have a mean of 0. The fit uses up to 40 values per dimension,
-    with a limit of at least 160 and at most 400 values in total. Up to half of these are rare values (`is_rare`). The
-    search for the maximum ends when a step improves the logarithm of the objective by less than the fraction
-    `tolerance`; if the logarithm is between -1 and 1, by less than `tolerance` itself.
+    with a limit of at least 160 and at most 400 values in total. If there are more values than this limit, at most half
+    of the limit are rare values (`is_rare`). The search for the maximum ends after 50 steps, or when a step improves
+    the logarithm of the objective by less than the fraction `tolerance`; if the logarithm is between -1 and 1, by less
+    than `tolerance` itself.
 
     Source: C. E. Rasmussen, C. K. I. Williams, "Gaussian Processes for Machine Learning" (2006), equations 4.17, 5.8
     and 5.9. The prior is scaled as in C. Hvarfner, E. O. Hellsten, L. Nardi, "Vanilla Bayesian optimization performs

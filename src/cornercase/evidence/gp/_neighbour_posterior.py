@@ -26,7 +26,7 @@ class NearestPosterior:
 
     These are 12 values per dimension, but at least 32 and at most 64. Distances are measured in length scales. The cost
     per point hardly depends on the number of values. Details stay visible that 512 inducing points would smooth away,
-    but a joint distribution of several points is not available. The posterior needs more than 64 values.
+    but a joint distribution of several points is not available. The posterior needs more values than it uses per point.
 
     Source: A. V. Vecchia, "Estimation and model identification for continuous spatial processes", Journal of the Royal
     Statistical Society B 50 (1988); A. Datta, S. Banerjee, A. O. Finley, A. E. Gelfand, "Hierarchical nearest-neighbor

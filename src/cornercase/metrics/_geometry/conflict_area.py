@@ -1,7 +1,7 @@
 """Conflict area of two recorded tracks, and the times at which each entity enters and leaves the area.
 
 The times are not rounded to recorded instants, since scores are compared with thresholds and between simulators.
-`cornercase.clustering` uses a faster approximation; a test checks that the approximation agrees with these times.
+`cornercase.metrics.ending` uses a faster approximation; a test checks that the approximation agrees with these times.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ TIME_TOLERANCE = 1e-9
 class AreaVisit:
     """One visit to a conflict area, with entry and exit time in s.
 
-    If the entity is still inside at the end of the recording, `exit_time` is the end, `has_left` is False, and
-    `is_standing` says whether the entity stands at the end.
+    If the entity is still inside at its last instant, `exit_time` is the time of this instant, `has_left` is False, and
+    `is_standing` says whether the entity stands at this instant.
     """
 
     entry_time: float
@@ -241,7 +241,10 @@ def _time_and_speed_at_fraction(
 
 
 def _split_into_moves(corners: FloatArray) -> tuple[IntArray, IntArray]:
-    """Return the first and last instant of each movement and of each period of standing, shape (n,) each."""
+    """Return the first and last instant of each step, shape (n,) each.
+
+    A step is two successive instants of a moving entity, or a whole period of standing.
+    """
     exists = np.isfinite(corners).all((1, 2))
     before, after = np.append(False, exists[:-1]), np.append(exists[1:], False)
     start = np.flatnonzero(exists & (after | ~before))

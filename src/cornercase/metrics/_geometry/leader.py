@@ -59,7 +59,7 @@ def time_to_travel_distance(
     """Return the time in s until a distance is travelled with constant acceleration; inf if never.
 
     This is the smallest t >= 0 with ``speed t + acceleration t² / 2 = distance``; NaN if an input is NaN. With
-    `stops_at_zero_speed`, an entity that brakes to a stop stays there; otherwise it then moves backwards.
+    `stops_at_zero_speed`, an entity that brakes to a stop stays there; otherwise it then moves in the other direction.
     """
     discriminant = speed**2 + 2.0 * acceleration * distance
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -88,7 +88,10 @@ def find_overlapping_hulls(corners_a, axes_a, center_a, radius_a, corners_b, axe
 
 @kernel(error_model="numpy")
 def compute_hull_bounds(corners, out):
-    """Write the bounds of n hulls, shape (n, 8, 2), to `out`, shape (n, 4): least x and y, greatest x and y."""
+    """Write the bounds of n hulls, shape (n, 8, 2), to `out`, shape (n, 4): least x and y, greatest x and y.
+
+    The bounds are 1 mm wider than the hulls on each side.
+    """
     for i in range(len(corners)):
         out[i, 0], out[i, 1], out[i, 2], out[i, 3] = _bounds_with_margin(corners[i])
 

@@ -29,7 +29,7 @@ def measure_features(recording: Recording, outcome: Outcome, poses: Poses | None
     - ``"mean speed of the other"``: mean speed of the other entity in m/s, without sign, over all instants
     - ``"standing"``: time that the ego stands, in s
     - ``"braking"``: hardest deceleration of the ego while it moves, in m/s²
-    - ``"way"``, ``"duration"``: distance and time that the ego travels, in m and s
+    - ``"way"``, ``"duration"``: distance that the ego travels, and time from its first to its last instant, in m and s
     - ``"turn"``: change of heading of the ego, in rad, positive to the left
     - ``"shift"``: how far the ego is at the end to the left of its first line of travel, in m
     - ``"aside"``: how far the other entity is to the left of the ego at the beginning, in m

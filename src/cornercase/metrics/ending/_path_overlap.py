@@ -18,7 +18,7 @@ from cornercase._common.geometry.aabb_tree import (
 from cornercase._common.numba.kernel import kernel
 
 _MARGIN = 1e-3
-"""Margin of the bounding circles in m, far more than rounding."""
+"""Margin in m of the search for centres that are near enough, far more than rounding."""
 
 _N_BISECTIONS = 20
 """Number of bisections of a step in the search for the instant of contact: to a millionth of the step."""
@@ -35,7 +35,7 @@ def sample_path(time, exists, x, y, cos, sin, max_spacing):
     """Return times, shape (n,), and poses, shape (4, n), of boxes that are at most `max_spacing` apart on a path.
 
     A pose is x and y of the centre, and cosine and sine of the heading. While the entity stands, only the first and the
-    last instant are sampled.
+    last instant are sampled. A step is split into at most 50 parts; the boxes of a longer step are farther apart.
     """
     n_instants, n_selected = len(time), 0
     selected = np.empty(n_instants, dtype=np.int64)

@@ -163,7 +163,7 @@ Node: TypeAlias = Leaf | Operation
 
 
 def format_node(node: Node, as_condition: bool = False) -> str:
-    """Return an expression in its normalized spelling; nested operations get brackets.
+    """Return an expression in its normalized spelling; nested operations of several operands get brackets.
 
     `as_condition` uses the short forms of conditions: ``not collision`` for ``not(collision)``, and ``ttc`` for the
     score of ``ttc``.
