@@ -38,8 +38,10 @@ def find_events_of_scenarios(
 def find_events_of_scenario(study: StudyFile, scenario: int, recording: Recording | None = None) -> dict[str, Any]:
     """Find when the ego sees, brakes for and touches another entity in a scenario that ran, as JSON values.
 
-    The entity is the first that the ego collides with. Without a collision it is the entity that the score by the
-    study's first metric is measured against. `recording` belongs to the scenario; by default it is read from the study.
+    The entity is the first of the study's other entities that the ego collides with, or else the first entity that the
+    ego collides with. Without a collision it is the entity that the score by the study's first metric is measured
+    against, or the first other entity if that is unknown. `recording` belongs to the scenario; by default it is read
+    from the study.
     """
     # Impacts are the same for each other entity.
     impact = _first_impact(study.digest(scenario).outcomes[0].impacts, study.meta.others)

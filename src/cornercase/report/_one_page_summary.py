@@ -187,7 +187,7 @@ def _draw_space(data: ReportData) -> Markup:
 
 
 def _shorten_at_sentence(text: str, length: int) -> str:
-    """Shorten a text to at most `length` characters by leaving out its last sentences."""
+    """Shorten a text to at most `length` characters: leave out its last sentences, or cut a long first one."""
     if len(text) <= length:
         return text
     end = text.rfind(". ", 0, length)

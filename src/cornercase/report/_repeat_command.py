@@ -86,7 +86,7 @@ def _format_values(option: Option, value: Any) -> list[str]:
 
 
 def _format_space_option(meta: StudyMeta) -> dict[str, list[str] | str]:
-    """Return the parameter space of a study as ``--range`` options, or as a file if ranges cannot express it."""
+    """Return a study's parameter space as ``--range`` options, or a file placeholder if these cannot express it."""
     if not all(map(_is_expressible_as_range, meta.space.parameters)):
         return {"space": _SPACE_PLACEHOLDER}
     return {"ranges": [_format_range(parameter) for parameter in meta.space.parameters]}
@@ -198,7 +198,7 @@ def _relative_path(path: Path) -> str:
 def _find_space_file(scenario: ScenarioFile, space: ParameterSpace) -> Path | None:
     """Return the file beside the scenario that holds the parameter space; None if there is none.
 
-    The file is needed because options of the command line cannot express units and constraints.
+    The file is needed because options of the command line cannot express units, distributions and sets of choices.
     """
     for path in sorted(scenario.path.parent.glob("*.xosc"))[:_MAX_FILES]:
         with suppress(InputError, OSError):

@@ -190,7 +190,7 @@ def read_report_data(
 
 
 def _read_fixed_parameters(study: StudyFile) -> dict[str, str]:
-    """Read the parameters of the scenario file that were not varied; empty if the file is not found."""
+    """Read the parameters of the scenario file that were not varied; empty for suites, imports and missing files."""
     with suppress(InputError):
         scenario = None if study.meta.suite else find_explored_scenario(study, search_remembered_path=False)
         if scenario is not None:

@@ -91,9 +91,9 @@ def write_report(
         Also write the figures as PNG and SVG, and ``captions.txt``, into this folder. True stands for a folder beside
         the page, with its name and ``-figures``.
     scenario : path or ScenarioFile, optional
-        Scenario file that was explored, to draw the road. By default the file is looked for beside the study and in the
-        current folder, and recognized by its fingerprint. If the file is not found, no road is drawn, and the page says
-        so.
+        Scenario file that was explored, to draw the road. By default the file is looked for where this machine explored
+        it, then beside the study and in the current folder, and recognized by its fingerprint. If the file is not
+        found, no road is drawn, and the page says so.
     against : path, optional
         Only if `study` is the run of a suite: the study that the suite was made from (the default), or an earlier run
         of the suite. The page shows the recordings of this study as the expected runs, beside the recordings of

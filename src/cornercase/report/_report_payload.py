@@ -28,7 +28,7 @@ FORMAT_VERSION: Final = 1
 
 
 def page_payload(data: ReportData) -> dict[str, Any]:
-    """Return the content of the report page, except recordings, as JSON values; None stands for unknown values."""
+    """Return the content of the report page that comes from `data` as JSON values; None stands for unknown values."""
     return whole_study_payload(data) | scenario_table_payload(data)
 
 

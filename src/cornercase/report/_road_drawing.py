@@ -35,9 +35,10 @@ def find_road_outline(
 ) -> tuple[RoadOutline | None, str]:
     """Return the outline of the road in `region`, or None and a sentence that explains why there is none.
 
-    The road is the road that the scenario file names: the file `scenario`, by default the scenario file beside the
-    study. `values` are the parameter values of a scenario, since a parameter may choose the road file. The sentence
-    contains no paths. InputError if `scenario` is not the file that was explored.
+    The road is the road that the scenario file names: the file `scenario`, by default the file that
+    `find_explored_scenario` finds. `values` are the parameter values of a scenario, since a parameter may choose the
+    road file. The sentence contains no folders of this machine. InputError if `scenario` is not the file that was
+    explored.
     """
     if region is None:
         return None, ""

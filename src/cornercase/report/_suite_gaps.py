@@ -61,8 +61,9 @@ def _describe_missing_kinds(study: StudyFile, earlier: StudyFile, sources: Colle
 def _find_kinds(study: StudyFile, earlier: StudyFile) -> tuple[str | None, Mapping[int, str], Mapping[str, int]]:
     """Find the aspect (what scenarios are compared by) whose kinds (named clusters) the suite names.
 
-    Return the aspect, the kind of each scenario of the earlier study by id, and the size of each kind. The aspect is
-    None if the suite names no kind of the earlier study.
+    Return the aspect, the kind of each scenario of the earlier study that is in a cluster, by id, and the size of each
+    kind. If several aspects have kinds that the suite names, the aspect with most of these kinds is returned. The
+    aspect is None if the suite names no kind of the earlier study.
     """
     named = set(study.meta.kinds) - {""}
     best: tuple[int, str | None, dict[int, str], dict[str, int]] = (0, None, {}, {})

@@ -31,7 +31,8 @@ def summarize(study: StudyFile | Path | str, *, critical: float | None = None) -
     Raises
     ------
     InputError
-        There is no such study, or `critical` is given but the study does not define criticality by one score.
+        There is no such study, or `critical` is given for a study with a condition, a Pareto front or an estimate of
+        probabilities.
 
     See Also
     --------

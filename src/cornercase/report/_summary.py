@@ -46,15 +46,15 @@ class MetricSummary:
     most_critical, median : float
         Most critical and median score, in the unit of the metric.
     most_critical_id : int
-        Id of the scenario with the most critical score. If several have this score: the scenario in which the ego has
-        the fastest collision.
+        Id of the scenario with the most critical score. If several have this score: the scenario in which the first
+        collision of the ego is the fastest.
     parameters : mapping of str to float or str
         Parameters of the most critical scenario.
     repeat_spread : tuple of float, or None
         Only if each scenario was run several times, else None. For each scenario, the spread is its highest score minus
         its lowest score; the two values are the median and the maximum of the spreads.
     constant_note : str
-        A message if all scenarios have the same score; else empty.
+        A message if at least ten scenarios were run and all have the same score; else empty.
     most_critical_other : str or None
         If the study has several other entities, the one that the most critical score refers to. Else None.
     scores_per_other : mapping of str to int
@@ -124,7 +124,7 @@ class Summary:
         Number of scenarios in which the ego collides with one of the entities that the metrics consider.
     faults : mapping of str to int
         Number of scenarios in which the ego collides, by who is at fault for its first collision: ``"ego"``,
-        ``"other"``, ``"both"``, ``"undecided"``. Empty without collisions.
+        ``"other"``, ``"both"``, ``"undecided"``. Empty without collisions, and in a study of an early version.
     unmeasured_collisions : mapping of str to int
         Number of scenarios in which the ego collides with an entity that the metrics do not consider, by entity.
     metrics : mapping of str to MetricSummary

@@ -1,1 +1,1 @@
-"""Test cards: one printed A4 page for each kept scenario, for people who drive the scenario on a proving ground."""
+"""Test cards: one printed A4 page for each kept scenario or given id, for people who drive on a proving ground."""

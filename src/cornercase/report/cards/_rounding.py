@@ -66,7 +66,8 @@ def _list_steps_by_parameter(
 def _list_steps_next_to(value: float, step: float, low: float, high: float) -> list[tuple[float, float]]:
     """Return the multiples of `step` below and above a value, nearest first, each with its distance in steps.
 
-    Multiples outside the range are left out. If the range contains neither multiple, the value itself is returned.
+    A value that is itself a multiple is returned alone. Otherwise multiples outside the range are left out. If the
+    range contains neither multiple, the value itself is returned.
     """
     position = value / step
     if abs(position - round(position)) <= _TOLERANCE:

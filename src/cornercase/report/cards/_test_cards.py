@@ -57,9 +57,10 @@ def write_test_cards(
     study : StudyFile or path
         An open study, or its file; it is only read.
     path : path
-        HTML file to write; its name ends with ``.html``.
+        HTML file to write; its name ends with ``.html`` or ``.htm``.
     ids : sequence of int, optional
-        Ids of scenarios. By default the reduced set. If the study ran a suite and has no reduced set, all scenarios.
+        Ids of scenarios. By default the reduced set. If the study ran a suite and has no reduced set, all scenarios
+        that ran.
     scenario : path, optional
         OpenSCENARIO file that was explored, if it is not found beside the study.
     critical : float, optional
@@ -155,7 +156,10 @@ def _render_cards(study: StudyFile, ids: Sequence[int], given: Path | str | None
 
 
 def _find_scenario(study: StudyFile, given: Path | str | None) -> tuple[ScenarioFile | None, str]:
-    """Return the explored file, or None and why it was not found; InputError if `given` is not the explored file."""
+    """Return the explored file, or None and why it was not found; InputError if `given` is not the explored file.
+
+    For imported recordings, which have no such file, the reason is empty.
+    """
     try:
         return find_explored_scenario(study, given), ""
     except InputError:

@@ -54,7 +54,7 @@ def draw_charts(comparison: Comparison, parameters: Sequence[Parameter]) -> Iter
     """Yield a chart of old against new scores for each metric with changed scores, and a chart of the parameter space.
 
     The chart of the parameter space shows the first two numeric parameters. This chart is left out if the study has
-    fewer than two numeric parameters, or if no scenario changed.
+    fewer than two numeric parameters, or if all scenarios ran in both studies and differ within rounding at most.
     """
     ran = [pair for pair in comparison.pairs if pair.both_ran]
     for score in comparison.scores:

@@ -49,7 +49,8 @@ def write_comparison(
     path : path
         File to write. The same comparison gives the same bytes.
     scenario : path or ScenarioFile, optional
-        Scenario file, to draw the road. By default the file is searched beside the old study and in the current folder.
+        Scenario file, to draw the road. By default the file is searched where this machine explored it, then beside
+        the old study and in the current folder.
 
     Returns
     -------

@@ -18,7 +18,7 @@ _MAX_ON_TRACK: Final = 5
 def describe_next_steps(comparison: Comparison, new: StudyFile) -> Iterator[tuple[str, tuple[str, ...]]]:
     """Yield questions about the next steps after a comparison, each with sentences as answer.
 
-    Scenario ids in the sentences are in brackets.
+    Scenario ids in the sentences are in brackets, except in commands.
     """
     yield "What to fix?", tuple(_describe_fixes(comparison, new))
     yield "What next?", tuple(_describe_hand_over(comparison))
@@ -61,7 +61,7 @@ def _describe_fixes(comparison: Comparison, new: StudyFile) -> Iterator[str]:
 def _describe_hand_over(comparison: Comparison) -> Iterator[str]:
     """Yield sentences on the files to hand over to developers and authorities, and on tests for a proving ground."""
     findings = (*comparison.worse, *comparison.better)
-    # Collisions that are new or gone come first; each scenario once.
+    # What is worse comes before what is better; each scenario once.
     changed = list(dict.fromkeys(ids for finding in findings for ids in finding.ids))[:_MAX_ON_TRACK]
     name = quote_name(comparison.names[1])
     if comparison.worse and changed:

@@ -129,8 +129,8 @@ class _PaperData:
     """Data for the paper's figures: n scenarios with d parameters, their scores and analyses.
 
     `values` are parameter values, and `points` are the same values scaled to 0 to 1, both of shape (n, d).
-    `influential` has the indices of parameters, the most influential first. `row_of` maps the id of a scenario to its
-    row in these arrays.
+    `influential` has the indices of parameters, the most influential first, but the first two in the order of the
+    columns. `row_of` maps the id of a scenario to its row in these arrays.
     """
 
     parameters: tuple[Parameter, ...]

@@ -40,7 +40,7 @@ class _VerdictRow:
     `margin`, in `unit`, is the distance from the limit of the requirement, negative if the requirement is missed.
     `nearest` describes the closest approach to another entity, and `gap` is the smallest gap in m. In scenarios with a
     contact, or without a known approach, `nearest` is empty and `gap` infinite. `impact_speed`, in m/s, says how bad a
-    contact is if the verdict has no margin; else None.
+    contact is if the verdict is a failure without a margin; else None.
     """
 
     scenario: int
@@ -119,7 +119,7 @@ def _build_rows(data: ReportData) -> Iterator[_VerdictRow]:
 
 
 def _render_fixes(data: ReportData, rows: Sequence[_VerdictRow]) -> Iterator[str]:
-    """Yield the failed scenarios, the worst first, and the commands to replay them and to run the suite again."""
+    """Yield up to six failed scenarios, the worst first, and the commands to replay them and to run the suite again."""
     failed = [row for row in rows if row.verdict.state == "failed"]
     scenarios = list(dict.fromkeys(row.scenario for row in failed))
     if not scenarios:

@@ -40,7 +40,7 @@ class PageAnalysis:
 
     epoch: str = ""  # identifier of the study (`StudyFollower.epoch`); empty without a study
     revision: int = 0  # grows with each change
-    layout_revision: int = 0  # grows with each change of clusters, outcomes or the reduced set
+    layout_revision: int = 0  # grows with each change of the endings or of a part in `_LAYOUT_KEYS`
     parts: dict[str, Any] = field(default_factory=dict)  # page contents with detail sections as HTML; empty at first
     outcomes: dict[int, str] = field(default_factory=dict)  # endings by id
 
@@ -50,7 +50,7 @@ class PageAnalysis:
 
 
 class RoadDrawingCache:
-    """Cache for the drawing of the road, which is drawn again only when scenarios leave the drawn region."""
+    """Cache for the drawing of the road, redrawn if it is missing, if scenarios leave it, or for another scenario."""
 
     def __init__(self, scenario: Path | None) -> None:
         self._scenario = scenario

@@ -163,7 +163,7 @@ class StudyFollower:
         return study
 
     def _read_new(self, study: StudyFile) -> bool:
-        """Read new scenarios; return False if the file must be opened again, because it contains another study now."""
+        """Read new scenarios; return False if the file must be opened again, as the study or a part was replaced."""
         with study.snapshot():
             is_same_meta = study.read_meta() == study.meta
             rows = study.rows_from_id(min(self._pending_ids, default=self._next_id))

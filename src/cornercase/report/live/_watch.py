@@ -53,7 +53,7 @@ def watch(
         know the token in the address of the page.
     scenario : path, optional
         Scenario file that was explored, from which the page makes concrete scenarios. By default the file is searched
-        beside the study and in the current folder.
+        where this machine explored it, then beside the study and in the current folder.
     browser : bool, default False
         Open the page in the browser.
     show : callable, default print

@@ -66,8 +66,8 @@ def replay(
     speed : float, default 1
         Speed of a film: 0.5 shows 1 s of the recording in 2 s.
     scenario : path or ScenarioFile, optional
-        Scenario file that was explored, to draw the road. By default the file is searched beside the study and in the
-        current folder. Without the file, no road is drawn.
+        Scenario file that was explored, to draw the road. By default the file is searched where this machine explored
+        it, then beside the study and in the current folder. Without the file, no road is drawn.
     critical : float, optional
         Score from which this replay shows a scenario as critical; by default the threshold of the study.
     progress : bool, default False

@@ -91,7 +91,8 @@ class Answer:
 def page_answers(data: ReportData) -> Iterator[Answer]:
     """Yield the answers at the top of the report page, in the order of the page.
 
-    All numbers in these answers are also values in the result of `summary_to_dict`.
+    Numbers of scenarios and estimated shares are also values in the result of `summary_to_dict`. Further numbers, on
+    single collisions, near misses and dangerous ranges, are not.
     """
     summary = data.summary
     if data.verdicts:

@@ -81,7 +81,7 @@ def describe_dangers(n_selected: int, n_critical: int | None, n_colliding: int, 
 def describe_aspect(aspect: str) -> str:
     """Describe by what an aspect compares scenarios; empty if the aspect is unknown.
 
-    An example is ``"the direction in which the ego sees the other"``.
+    Examples are ``"speed of the ego in m/s, regardless of the position"`` and ``"the course of wttc"``.
     """
     if aspect not in ASPECTS:
         return f"the course of {aspect}" if aspect.partition(":")[0] in METRICS else ""
