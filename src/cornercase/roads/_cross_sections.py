@@ -83,6 +83,7 @@ class CrossSections:
     def edges_at(self, distance: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
         """Return the index of the last sample up to each distance along the path, and the edges of all lanes.
 
+        Between two samples on different lanes or lane sections, the nearer sample counts instead of the last one.
         `distance` is in m, and can have any shape. The left and right edges of the lanes at this distance are offsets
         from the path in m, in arrays whose last axis is the lane.
         """

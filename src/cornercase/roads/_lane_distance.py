@@ -36,7 +36,8 @@ class LaneDistanceIndex:
     def distances(self, x: FloatArray, y: FloatArray) -> FloatArray:
         """Return the distance of each point from the nearest lane in m, shape (N,).
 
-        Distances below `NEAR_DISTANCE` are returned as 0, and points with a coordinate NaN have the distance 0, too.
+        Distances up to `NEAR_DISTANCE` are returned as 0. Points with a coordinate that is not finite have the
+        distance 0, too.
         """
         result = np.zeros(len(x))
         finite = np.flatnonzero(np.isfinite(x + y))

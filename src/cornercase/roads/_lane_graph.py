@@ -150,7 +150,7 @@ class LaneGraph:
 
     @cached_property
     def links_with_small_gap(self) -> dict[tuple[int, int], float]:
-        """Largest gap in m between lane ends of two linked roads, by pair of road indices, if this gap is small.
+        """Largest gap in m between lane ends of two connected roads, by pair of road indices; only gaps above 0.5 m.
 
         `find_exits` adds each pair that it finds.
         """

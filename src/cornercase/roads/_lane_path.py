@@ -40,8 +40,8 @@ class LanePath:
     The path contains a requested lane, and may go on before and after this lane. `lane_s` has the s coordinates of the
     start and the end of the requested lane, and `lane_span` the distances of both along the path.
     `lane_reference_distance` is the distance of its start along the reference lines. `has_start` and `has_end` are
-    False if lanes go on before the start or after the end of the path. `jumps` are distances along the reference lines
-    at which the path jumps sideways.
+    False if lanes go on before the start or after the end of the path; lanes that end more than 0.3 m beside the start
+    do not count. `jumps` are distances along the reference lines at which the path jumps sideways.
     """
 
     distance: FloatArray

@@ -211,14 +211,15 @@ class RoadNetwork:
         """Return the distances along roads from positions to goals, in m, shape (N,); lanes are ignored.
 
         `forward` is True if an entity that drives ahead drives along s. The distance is negative if the shortest route
-        leads backwards, and infinite if the roads are not connected.
+        leads backwards, and infinite if the roads are not connected. If the goal is on the road of the position, only
+        the way along this road counts, even if a way around, as in a ring, is shorter.
         """
         return self._lane_graph.road_graph.driving_distance(road, s, forward, goal_road, goal_s)
 
     def unconnected_links(self) -> list[tuple[str, str, float]]:
         """Return pairs of linked roads that do not meet, and the distance between their lane ends in m.
 
-        Only links at the lanes that paths have followed so far are checked.
+        Only links at the lanes that paths or `find_linked_lanes` have followed so far are checked.
         """
         pairs = sorted((*pair, distance) for pair, distance in self._lane_graph.unconnected_links.items())
         return [(self.roads[a].road_id, self.roads[b].road_id, distance) for a, b, distance in pairs]
@@ -226,7 +227,7 @@ class RoadNetwork:
     def links_with_small_gap(self) -> list[tuple[str, str, float]]:
         """Return pairs of connected roads with a gap of more than 0.5 m, and the distance between their lane ends in m.
 
-        Only links at the lanes that paths have followed so far are checked.
+        Only links at the lanes that paths or `find_linked_lanes` have followed so far are checked.
         """
         pairs = sorted((*pair, distance) for pair, distance in self._lane_graph.links_with_small_gap.items())
         return [(self.roads[a].road_id, self.roads[b].road_id, distance) for a, b, distance in pairs]
@@ -259,7 +260,7 @@ class RoadNetwork:
         return build_road_tables(self.roads)
 
     def distance_from_lanes(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        """Return the distances from the nearest lane in m, shape (N,); distances below 10 m are returned as 0."""
+        """Return the distances from the nearest lane in m, shape (N,); distances up to 10 m are returned as 0."""
         return self._lane_distance_index.distances(x, y)
 
     @cached_property

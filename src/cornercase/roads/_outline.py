@@ -34,8 +34,9 @@ class RoadOutline(NamedTuple):
     """Areas and lines to draw: pairs of a kind and an array of points in m, shape (P, 2).
 
     An area is the polygon of neighboring lanes of a kind: ``"road"`` for vehicles, ``"walk"`` for pedestrians, or
-    ``"verge"`` for other lanes. Areas may overlap, for example in junctions. A line separates two lanes for vehicles.
-    Its kind is ``"lane"`` if both lanes have the same direction, else ``"centre"``. Junctions have no lines.
+    ``"verge"`` for other lanes; lanes of the type ``none`` have no area. Areas may overlap, for example in junctions. A
+    line separates two lanes for vehicles. Its kind is ``"lane"`` if both lanes have the same direction, else
+    ``"centre"``. Junctions have no lines.
     """
 
     areas: list[tuple[str, FloatArray]]
@@ -43,7 +44,11 @@ class RoadOutline(NamedTuple):
 
 
 def outline_roads(network: RoadNetwork, region: Region) -> RoadOutline:
-    """Return areas and lines of the roads in a region; their points follow the lane borders to within 5 cm."""
+    """Return areas and lines of the roads in a region.
+
+    They follow the lane borders to within 5 cm. They may be farther away where the width of a lane changes quickly, as
+    the borders are sampled at steps of up to 1 m.
+    """
     outline = RoadOutline([], [])
     for road in _roads_near(network, region):
         for section in range(len(road.sections)):

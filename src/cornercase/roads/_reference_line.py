@@ -275,7 +275,8 @@ def _derivative_coefficients(coefficients: tuple[float, ...] | list[float]) -> l
 def read_finite_number(element: etree._Element, attribute: str, location: str, default: float | None = None) -> float:
     """Read a finite number from an attribute; `location` names file and road.
 
-    If the attribute is missing, return `default` and record a violation of the standard on the element.
+    If the attribute is missing, return `default` and record a violation of the standard on the element. If `default` is
+    None, raise `InputError` instead.
     """
     text = element.get(attribute)
     if default is not None and not (text or "").strip():

@@ -114,7 +114,7 @@ def _roads_with_slope(root: etree._Element) -> list[etree._Element]:
 
 
 def _max_slope_or_value(records: list[etree._Element], length: str, slope: bool) -> float:
-    """Return the largest absolute slope of piecewise cubics along a road; without `slope`, their largest value."""
+    """Return the largest absolute slope of a road's piecewise cubics; without `slope`, their largest absolute value."""
     if not records:
         return 0.0
     try:

@@ -43,7 +43,7 @@ def write_concrete_file(
     drivers: Mapping[str, str] | None = None,
     description: str | None = None,
 ) -> tuple[Path, ...]:
-    """Write a concrete scenario, and copies of its road file and catalogs next to it; return the paths of all files.
+    """Write a concrete scenario, and copies of its road file, catalogs and profiles beside it; return all paths.
 
     `drivers` maps the names of entities to driver presets, with options as in ``"PRESET:reaction=0.3"``. `description`
     replaces the description in the file header.

@@ -54,8 +54,8 @@ _UNIQUE_BLOCKS = (
 class ScenarioFile:
     """A scenario file, with its catalogs and road files.
 
-    Each file is read once, when it is first needed. A pickled copy holds only the path and the fingerprint. The copy
-    reads the files again, and raises `InputError` if they have changed.
+    Each file is read once, when it is first needed. A pickled copy holds only the path, the fingerprint and
+    `varied_roads`. The copy reads the files again, and raises `InputError` if they have changed.
 
     `varied_roads` are the additional road files that a varied parameter can select, written as in ``<LogicFile>``.
     `cache` has objects that other modules derived from the file, by the type of the object.

@@ -32,7 +32,7 @@ def find_left_handed_header(root: etree._Element) -> etree._Element | None:
 
 
 def mirror_axes(root: etree._Element) -> None:
-    """Change the signs of y coordinates, headings and curvatures in a tree, in place.
+    """Change the signs of y and t coordinates, headings and curvatures in a tree, in place.
 
     Attributes that are not plain numbers, such as parameters, stay as they are.
     """

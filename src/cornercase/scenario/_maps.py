@@ -28,9 +28,10 @@ def is_network_address(text: str) -> bool:
 
 @contextmanager
 def use_map_folders(folders: Sequence[Path]) -> Iterator[None]:
-    """Within a ``with`` block, search `folders` first for maps (road files that scenarios refer to by name).
+    """Within a ``with`` block, search `folders` for maps (road files that scenarios refer to by name).
 
-    This also holds in child processes that start within the block.
+    They are searched after the folder of the scenario, and before the folders in ``CORNERCASE_MAPS``. This also holds
+    in child processes that start within the block.
     """
     for folder in folders:
         _require_folder("`maps`", str(folder))

@@ -62,7 +62,7 @@ def record_later_version(root: etree._Element) -> None:
 
 
 def later_minor_version(root: etree._Element) -> int | None:
-    """Return the minor version of a file if its version is later than the supported versions, else None."""
+    """Return the minor version of a file if it is of OpenSCENARIO XML 1 and later than supported, else None."""
     for header in find_untracked(root, "FileHeader"):
         major, minor = (str(header.attrib.get(name, "")).strip() for name in ("revMajor", "revMinor"))
         if (

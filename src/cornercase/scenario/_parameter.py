@@ -52,7 +52,7 @@ class Parameter:
     ------
     InputError
         A bound or step is not finite, the step is not above 0, the bounds are not in order, or there are too many steps
-        to count. The bounds may be equal only if there is a step.
+        to count. The bounds may be equal only if there is a step, or if there are choices.
 
     Examples
     --------

@@ -22,9 +22,9 @@ def find_scenario_file(
 ) -> tuple[ScenarioFile | None, list[Path]]:
     """Search folders, down to two levels below them, for the scenario file with the given fingerprint.
 
-    Return the scenario (None if it is not found), and the files that have the given name but another fingerprint.
-    Directly in `folders`, any ``.xosc`` file can match; below, only files with the given name. `file_name` is only
-    compared with the names of files, and never opened as a path, since a study may be untrusted.
+    Return the scenario (None if it is not found), and the files that have the given name, but have another fingerprint
+    or cannot be read. Directly in `folders`, any ``.xosc`` file can match; below, only files with the given name.
+    `file_name` is only compared with the names of files, and never opened as a path, since a study may be untrusted.
     """
     changed: list[Path] = []
     for folder in folders:

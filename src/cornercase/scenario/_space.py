@@ -375,7 +375,10 @@ class ParameterSpace:
         ).reshape(-1, self.dimension)
 
     def center_point(self) -> FloatArray:
-        """Return the center of the space, or a random admissible point if the center violates the constraints.
+        """Return the center of the space, or another admissible point if the center violates the constraints.
+
+        In a space of at most 2048 points, the other point is the first admissible point of `full_factorial`, otherwise
+        a random point.
 
         Returns
         -------

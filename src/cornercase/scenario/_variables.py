@@ -75,7 +75,7 @@ class Variable:
         file could not be read.
     occurrences : tuple of (int, str)
         For each place at which the number stands in the file: the index of the element (in file order, from 0), and the
-        name of the attribute.
+        name of the attribute. Empty if the number is the value of a declared parameter, or cannot be varied.
 
     Examples
     --------
@@ -135,7 +135,9 @@ def list_variables(scenario: ScenarioFile | Path | str) -> tuple[Variable, ...]:
     Returns
     -------
     tuple of Variable
-        In the order of the file. Numbers that cannot be varied are included, with the reason.
+        First the declared parameters, then the numbers of the initial actions and of the other parts of the
+        storyboard; a start trigger comes before what it starts. Numbers that cannot be varied are included, with the
+        reason.
 
     Raises
     ------

@@ -60,9 +60,9 @@ class Simulator(Configurable, ABC):
     simulator, and may be created again in another process. All options of the constructor are keyword arguments. Four
     options are common to all simulators: ``time_step`` and ``duration`` in s, ``on_collision`` (``"continue"`` or
     ``"stop"``) and ``drivers`` (by entity, a driver or the name of a driver). Of these, the constructor gets only those
-    that it declares. If it does not declare ``drivers``, drivers are refused. The simulator's own options follow its
-    name after a colon (``"esmini:seed=3"``). The constructor must declare each of them by name: ``**options`` does not
-    accept them.
+    that it declares, or all four if it takes ``**options``. If it does not declare ``drivers``, drivers are refused.
+    The simulator's own options follow its name after a colon (``"esmini:seed=3"``). The constructor must declare each
+    of them by name: ``**options`` does not accept them.
 
     Attributes
     ----------

@@ -22,7 +22,7 @@ def select_declared_options(name: str, simulator: type[Simulator], options: Mapp
     """Return the given options without those common options that a simulator's constructor does not declare.
 
     If such a common option was given with another value than its default, raises `InputError` (``drivers``,
-    ``on_collision``) or warns (``time_step``, ``duration``).
+    ``on_collision``) or warns (``time_step``, ``duration``). A constructor with ``**options`` gets all given options.
     """
     declared = declared_options(simulator)
     for key, default in _DEFAULT_OPTIONS.items():
@@ -76,7 +76,7 @@ def split_common_options(
 def _split_simulator_text(text: str) -> tuple[str, dict[str, Any]]:
     """Split the text of a simulator into a text without common options, such as ``time_step``, and their values.
 
-    Raises `InputError` if the text has the option ``drivers``, since drivers are not texts.
+    Raises `InputError` if the text has the option ``drivers``, whose value is a mapping and not a text.
     """
     name, _, after = text.partition(":")
     if name not in SIMULATORS or SIMULATORS.takes_whole_text(name):

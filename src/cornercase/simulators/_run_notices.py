@@ -15,7 +15,8 @@ from cornercase.scenario._file import ScenarioFile
 from cornercase.simulators._base import Simulator
 from cornercase.simulators.builtin._prepared_file import PreparedScenario
 
-# Distance in m to the nearest lane from which pedestrians and misc objects are far from the road; for others: `NEAR`.
+# Distance in m to the nearest lane from which pedestrians and misc objects are far from the road; for others, it is the
+# `NEAR_DISTANCE` of `cornercase.roads._lane_distance`.
 _FAR_FROM_LANE: Final = 50.0
 # Not checked: they follow their vehicle, or are on rails.
 _UNCHECKED_TYPES: Final = ("trailer", "semitrailer", "train", "tram")

@@ -8,9 +8,9 @@ from cornercase._common.errors import InputError
 def worker_address(hosts: str, port: int, worker: int, port_step: int = 1) -> tuple[str, int]:
     """Return host and port of the server that only the worker process with the number `worker` uses.
 
-    `hosts` are ``host`` or ``host:port``, separated by ``+``; workers use them in turn. `port` is the default port. On
-    each host, the first worker uses this port, and each further worker a port that is `port_step` higher. Raises
-    `InputError` if a port is out of range.
+    `hosts` are ``host`` or ``host:port``, separated by ``+``; workers use them in turn. A host without a
+    port has the port `port`. On each host, the first worker uses the port of the host, and each further worker a port
+    that is `port_step` higher. Raises `InputError` if a port is out of range.
     """
     all_hosts = [host_text.strip() for host_text in hosts.split("+")]
     host, _, explicit_port = all_hosts[worker % len(all_hosts)].partition(":")
