@@ -103,7 +103,8 @@ def simulate_many(
 
     Each recording is written as soon as its scenario has ended. A second call only runs scenarios without a
     recording. Two more files are written: ``simulation.json`` describes each recording, and ``parameters.csv`` has the
-    parameter values of all recordings, so that `cornercase.study.import_recordings` can read the folder.
+    parameter values of each scenario of this call that has a recording, so that `cornercase.study.import_recordings`
+    can read them.
 
     Parameters
     ----------
@@ -136,8 +137,8 @@ def simulate_many(
     Raises
     ------
     InputError
-        An argument cannot be used, none of the scenarios can be run, or the folder contains recordings of other
-        scenarios or with other settings.
+        An argument cannot be used, none of the scenarios can be run, the folder contains recordings with other
+        settings, or a recording in the folder has the name of a new one but is of another scenario.
 
     Warns
     -----
@@ -255,7 +256,7 @@ def _plan_from_files(
 ) -> list[PlannedRecording]:
     """Plan one recording per scenario file, named after the file."""
     if not scenarios:
-        raise InputError("`scenario`: name at least one OpenSCENARIO file.")
+        raise InputError("`scenarios`: name at least one OpenSCENARIO file.")
     scenario_by_name: dict[str, ScenarioFile] = {}
     for scenario in scenarios:
         other = scenario_by_name.setdefault(make_portable_file_name(scenario.path.stem).casefold(), scenario)

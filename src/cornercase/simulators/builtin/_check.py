@@ -48,8 +48,8 @@ class Check:
     schema : str or None
         Version of the schema used for validation; None if the schema is not installed.
     schema_errors : tuple of str
-        Schema violations of the file and of the space. Violations that do not prevent reading are listed only if
-        `strict` was given.
+        Schema violations of the file and of the space. Violations of the scenario file that are corrected when it is
+        read are listed only if `strict` was given.
     space : ParameterSpace or None
         The parameter space; None if no space was given, or the space cannot be used. Parameters of drivers are not
         checked, since a search may use other drivers than the file.
@@ -125,7 +125,7 @@ def check(
     Raises
     ------
     InputError
-        A file is missing, is not XML, or is not of the expected format.
+        A file is missing or is not XML, the scenario file is not a scenario, or a driver or its entity does not exist.
 
     Examples
     --------

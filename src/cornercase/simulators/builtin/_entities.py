@@ -49,8 +49,8 @@ _LIMIT_ATTRIBUTES: Final = ("maxSpeed", "maxAcceleration", "maxDeceleration")
 def read_entities(objects: Sequence[etree._Element], scope: Scope) -> tuple[tuple[Entity, ...], tuple[Tow, ...]]:
     """Read all entities of a file, and the pairs of vehicle and trailer (tows).
 
-    Trailers without a name come after all other entities. The name of such a trailer is the name of the vehicle or
-    trailer that pulls it, with ``+`` appended.
+    Trailers that are defined inside a ``<Trailer>`` come after all other entities. The name of such a trailer is the
+    name of the vehicle or trailer that pulls it, with ``+`` appended, whatever its own name in the file.
     """
     bodies = [_find_entity_element(element, element.get("name", ""), scope) for element in objects]
     names = [element.get("name", "") for element in objects]
@@ -131,7 +131,7 @@ def _read_entity(body: etree._Element, name: str, scope: Scope) -> Entity:
 
 
 def _read_axles(body: etree._Element, length: float, scope: Scope) -> tuple[float, float]:
-    """Return the wheelbase in m, and the largest angle of the front wheels in rad; defaults if the file has none."""
+    """Return wheelbase in m and largest angle of the front wheels in rad; defaults if the file has none above 0."""
     # Only vehicles that are steered use them, so they do not count as read.
     front, rear = (next(iter(find_untracked(body, "Axles", tag)), None) for tag in ("FrontAxle", "RearAxle"))
     positions = [0.0 if axle is None else scope.read_number(axle, "positionX", 0.0) for axle in (front, rear)]

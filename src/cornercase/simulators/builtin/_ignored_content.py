@@ -25,7 +25,10 @@ from cornercase.simulators.builtin._prepared_file import OPENSCENARIO_SUPPORT, P
 
 
 def read_and_collect_notices(scenario: ScenarioFile, values: Mapping[str, Value] | None = None) -> tuple[Notice, ...]:
-    """Read a scenario as for a run, and return its notices; if it cannot be run, only notices on the parts read."""
+    """Read a scenario as for a run, and return its notices.
+
+    If the scenario cannot be run, there are no notices on parts that were not read.
+    """
     try:
         Batch(PreparedScenario.from_scenario(scenario), [dict(values or {})], [0], 0.05, 1.0, False, {})
     except (InputError, BatchSplitError):

@@ -22,7 +22,7 @@ from cornercase.scenario._types import find_type_errors, format_value
 OPENSCENARIO_SUPPORT: Final = SupportTable.from_csv("cornercase.simulators.builtin", "openscenario.csv")
 """Elements and attributes of OpenSCENARIO XML 1.3, and those of earlier versions that are still read."""
 
-# Bytes per scenario: of a trajectory, of a vertex, of sampled curves per km, of what a driver gets of a trajectory.
+# Bytes per scenario: of a trajectory, of a vertex, of a sampled curve, of what a driver gets of a trajectory.
 _BYTES_PER_TRAJECTORY: Final = 1_000
 _BYTES_PER_VERTEX: Final = 250
 _BYTES_PER_CURVE: Final = {"Clothoid": 64_000, "ClothoidSpline": 64_000, "Nurbs": 2_000_000}
@@ -46,7 +46,8 @@ class UnusableValuesError(InputError):
 class PreparedScenario:
     """A scenario file, with everything that its batches (scenarios that run together) have in common.
 
-    `split_parameters`: parameters that determine the storyboard; they must be equal in all scenarios of a batch.
+    `split_parameters`: parameters that determine the storyboard, or that a driver needs to be the same; they must be
+    equal in all scenarios of a batch.
     """
 
     def __init__(self, scenario: ScenarioFile) -> None:
@@ -65,7 +66,7 @@ class PreparedScenario:
         return prepared
 
     def check_elements_supported(self) -> None:
-        """Raise `InputError` for the first unsupported element or attribute that was read since the last call."""
+        """Raise `InputError` if a file or catalog entry read since the last call holds anything unsupported."""
         for file, element in self.scenario.used_elements():
             # The file holds its elements, so their ids stay valid.
             if id(element) not in self._checked_elements and tag_without_namespace(element) != "OpenDRIVE":
@@ -73,7 +74,7 @@ class PreparedScenario:
                 self._checked_elements.add(id(element))
 
     def find_invalid_values(self, values: Sequence[Mapping[str, Value]]) -> dict[int, str]:
-        """Return why values do not fit the types of their parameters, by index of the scenario (none if all fit)."""
+        """Return why values do not fit the types of their parameters, by index of the scenario; empty if all fit."""
         return find_type_errors(self.declarations, values)
 
     def describe_value_error(self, error: InputError, values: Mapping[str, Value], build: Callable[[], object]) -> str:

@@ -38,7 +38,7 @@ _MAX_RECORDING_BYTES = 4_000_000
 
 
 class Builtin(Simulator):
-    """The builtin simulator, which runs all concrete scenarios at the same time, one or a hundred thousand.
+    """The builtin simulator, which runs concrete scenarios in batches, up to 4096 at the same time.
 
     Parameters
     ----------

@@ -67,7 +67,7 @@ class Coupling(Protocol):
     """Another simulator that moves some of the entities, in step with the storyboard."""
 
     def step(self, world: World, dt: float) -> None:
-        """Move the other simulator's entities by a time step of `dt` s; with 0, only read their initial state."""
+        """Move the other simulator's entities by a time step of `dt` s; with 0, only add entities to it."""
         ...
 
 
@@ -132,7 +132,7 @@ class Stepper:
         )
 
     def _read_triggers(self) -> None:
-        """Make the condition tables of all triggers for compiled code; keep a list of all other conditions."""
+        """Make the condition table for compiled code; list the triggers with conditions that only Python evaluates."""
         specs, self._python_triggers = [], list[int]()
         in_tables, others = list[tuple[Condition, ConditionSpec]](), list[tuple[Condition, ConditionSpec]]()
         # With indices of triggers.

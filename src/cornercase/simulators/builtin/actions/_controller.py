@@ -82,7 +82,7 @@ class DriverControl:
             built_in.start(driver, self._world.scenarios, len(self._others))
 
     def reset_driver(self) -> None:
-        """Reset the driver when the batch starts; raises `DriverError` if a user's driver fails."""
+        """Start the driver, unless it was started for compiled code; raises `DriverError` if either start fails."""
         if self._failure is not None:
             raise self._failure
         if not self.in_fleet:

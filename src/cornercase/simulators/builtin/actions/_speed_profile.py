@@ -44,10 +44,11 @@ class ProfilePhase(NamedTuple):
 class SpeedProfileAction(Action):
     """Action that brings an entity to given speeds at given times.
 
-    With the following mode ``position``, the acceleration between two times is constant. With ``follow``, the
-    acceleration changes gradually, with the allowed jerk. The entity then reaches the last speed, and only comes close
-    to the speeds before. From the time at which the limits do not permit this, the entity moves as with ``position``;
-    if the action then runs again, the entity moves as with ``position`` all the time.
+    With the following mode ``position``, the acceleration between two times is constant. With ``follow`` and limits of
+    the jerk, the acceleration changes gradually, with the allowed jerk. The entity then reaches the last speed, and
+    only comes close to the speeds before. From the time at which the limits do not permit this, the entity moves as
+    with ``position``, unless there is only one speed to reach. If the action then runs again, the entity moves as with
+    ``position`` all the time.
     """
 
     domains = (LONGITUDINAL,)
@@ -170,9 +171,9 @@ def _smooth_corners(
     """Replace each corner of a speed profile (a jump of the acceleration) by an arc of constant jerk.
 
     Drawn as speed over time, an arc is tangent to the straight lines before and after it. `acceleration` has the
-    initial acceleration in m/s² for each scenario. If an arc would begin before the previous arc ends, or would exceed
-    a limit, its corner and all later corners stay. Returns the phases, and a mask of the scenarios without remaining
-    corners.
+    initial acceleration in m/s² for each scenario. If an arc would begin before the previous arc ends, its corner and
+    all later corners stay. After an arc that exceeds a limit, all later corners stay. Returns the phases, and a mask of
+    the scenarios without such arcs.
     """
     first, zeros = lines[0], np.zeros_like(acceleration)
     jerk = _signed_jerk(first.acceleration - acceleration, limits)

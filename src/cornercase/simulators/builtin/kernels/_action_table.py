@@ -37,7 +37,7 @@ N_OPTIONS: Final = 8
 MEMORY_SIZE: Final = 24
 """Number of values that an action can store for each scenario."""
 N_SAVED: Final = 8
-"""Number of stored values that can change from step to step; they are the first of the `MEMORY_SIZE` values."""
+"""Number of stored values that can be restored if an action is undone: the first of the `MEMORY_SIZE` values."""
 
 
 class ActionTable(NamedTuple):

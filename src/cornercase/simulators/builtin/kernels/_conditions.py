@@ -179,7 +179,8 @@ def alloc_watchlist(table):
 def fill_watchlist(table, watchlist, n):
     """Select the conditions of a scenario that can change before its storyboard is evaluated.
 
-    Constant conditions are left out, since only the storyboard changes them.
+    Only the storyboard changes constant conditions. In a trigger with memory, a constant condition is left out unless
+    its value has changed since the last evaluation. In any other trigger, a group is left out if one does not hold.
     """
     n_groups = n_leaves = 0
     for t in range(table.triggers.shape[0]):
@@ -216,7 +217,8 @@ def _is_never_met(table, n, group):
 def is_unchanged(scene, table, watchlist, n):
     """Return False if Python has to evaluate the storyboard of a scenario now, otherwise True.
 
-    Python has to do this if a trigger fires, or if a condition with memory (an edge or a delay) changes.
+    Python has to do this if a trigger fires, if a condition changes in a trigger with memory (an edge or a delay), if a
+    delay is over, or if a traffic signal controller begins a phase.
     """
     for d in range(table.pending_since.shape[1]):
         if table.pending_since[n, d] <= scene.time[n] - table.delay[n, d] + TOLERANCE:

@@ -40,7 +40,10 @@ def vector_component(state, x_row, y_row, e, axes_entity, option):
 
 @_kernel
 def closing_speed(state, e, other):
-    """Return the speed in m/s at which `e` approaches another entity, along that entity's direction of motion."""
+    """Return the speed in m/s at which `e` approaches another entity, along that entity's direction of motion.
+
+    If the other entity stands, the result is the speed of `e`.
+    """
     x, y = state[GONE_X, other], state[GONE_Y, other]
     if abs(x) < TOLERANCE and abs(y) < TOLERANCE:
         return state[SPEED, e]

@@ -41,7 +41,8 @@ def copy_driver_inputs(floats, flags, entity, is_at_start, begin, own, others):
 
     Actions may have moved entities in this time step already. If `is_at_start`, the poses of all entities and the
     speeds of the other entities are nevertheless those at the start of the time step. `begin` (3, N) always receives
-    the entity's own pose at the start. Other entities that are absent or hidden by an action get NaN.
+    the entity's own pose at the start. After a jump, such as a teleport, the new pose counts as the pose at the start.
+    Other entities that are absent or hidden by an action get NaN.
     """
     for n in range(floats.shape[0]):
         for q in range(len(OWN_ROWS)):

@@ -54,8 +54,8 @@ class KernelInterface:
     def measure_to_entity(self, entity: int, other: int, distance_kind: int) -> FloatArray:
         """Return the signed distance in m from one entity to another, shape (N,).
 
-        `distance_kind` is `EUCLIDEAN_DISTANCE`, `LONGITUDINAL_DISTANCE` or `LATERAL_DISTANCE`, plus `FREE_SPACE` for
-        the distance between boxes.
+        `distance_kind` is `EUCLIDEAN_DISTANCE`, `LONGITUDINAL_DISTANCE` or `LATERAL_DISTANCE`. For the distance between
+        boxes, it is one of the last two plus `FREE_SPACE`.
         """
         return np.asarray(_measure_distance_or_overlap(self._scene, entity, other, _NO_POINTS, distance_kind))
 

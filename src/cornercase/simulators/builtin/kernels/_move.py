@@ -49,8 +49,10 @@ from cornercase.simulators.builtin.world._state_layout import (
 )
 
 EXTERNALLY_MOVED, AWAKE, SETTLED, RESTING = range(4)
-"""Activity of an entity. `EXTERNALLY_MOVED`: moved by an action, by a driver or by a vehicle that tows it. `AWAKE`:
-moves by itself. `SETTLED`: has not moved along its track in the last frame. `RESTING`: frames change nothing."""
+"""Activity of an entity.
+
+`EXTERNALLY_MOVED`: moved by an action or by a driver, or a trailer or a vehicle that can tow one. `AWAKE`: moves by
+itself. `SETTLED`: has not moved along its track in the last frame. `RESTING`: frames change nothing."""
 
 # m; an entity that is closer to the end of a road counts as at the end.
 _END_TOLERANCE: Final = 1e-3
@@ -179,7 +181,7 @@ def set_speed(scene, n, e, speed):
 
 @_inlined_kernel
 def _stop_at_road_ends(scene, tracks, n, dt, activity):
-    """Set the speed to 0 for entities that are at the end of their road and did not move, as esmini does."""
+    """Set the speed to 0 for entities at a road's end that did not move in the previous step, as esmini does."""
     state, flags = scene.floats[n], scene.flags[n]
     for e in range(state.shape[1]):
         if activity[e] == RESTING or not (flags[PRESENT, e] and state[AT_END_SINCE, e] < scene.time[n] + 0.5 * dt):

@@ -10,7 +10,7 @@ from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.simulators.builtin.world._world import World
 
 LENGTH, WIDTH, CENTER_X, MAX_SPEED, MAX_ACCELERATION, MAX_DECELERATION, MAX_EXTENT = range(7)
-"""Columns of `SimulationState.dimensions`. `MAX_EXTENT` is the largest distance from the reference point to the box."""
+"""Columns of `SimulationState.dimensions`. No point of a box is farther than `MAX_EXTENT` from its reference point."""
 
 RECORDED_QUANTITIES: Final = ("x", "y", "heading", "speed", "acceleration")
 """Recorded quantities of an entity, in this order."""

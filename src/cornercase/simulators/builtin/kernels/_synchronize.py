@@ -214,9 +214,9 @@ def _distance_to_destination(scene, tracks, roads, memory, destination, n, e):
     """Return an outcome, and the distance in m from an entity to its destination (negative once passed).
 
     If entity and destination are on the same road, the distance is measured along the reference line, otherwise along
-    the entity's track. Without a track, the straight distance is used. The outcome `ACTION_APPLIED` means success.
-    `NEEDS_PYTHON`: first, Python must locate the entity on its road, after the actions that come earlier in this frame.
-    `NEEDS_LOOKUP`: first, Python must locate the destination on the track.
+    the entity's track. Without a track that leads to the destination, the straight distance is used. The outcome
+    `ACTION_APPLIED` means success. `NEEDS_PYTHON`: first, Python must locate the entity on its road, after the actions
+    that come earlier in this frame. `NEEDS_LOOKUP`: first, Python must locate the destination on the track.
     """
     state, track = scene.floats[n], scene.integers[n, TRACK, e]
     row = tracks.rows[e, track] if track >= 0 else -1

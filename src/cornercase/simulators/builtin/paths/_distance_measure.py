@@ -52,7 +52,8 @@ class DistanceMeasure:
     def measure_to_entity(self, world: World, e: int, other: int) -> FloatArray:
         """Return the signed distance in m from entity `e` to another entity, shape (N,).
 
-        The distance is negative if the other entity is behind, or to the right for a lateral distance.
+        The distance is negative if the other entity is behind, or to the right for a lateral distance. In road
+        coordinates, right is seen along s if both entities are on the same road.
         """
         if (kernel_kind := self.kernel_kind(to_entity=True)) is not None:
             return world.compiled.measure_to_entity(e, other, kernel_kind)
@@ -76,7 +77,8 @@ class DistanceMeasure:
     def measure_to_point(self, world: World, e: int, pose: Pose) -> FloatArray:
         """Return the signed distance in m from entity `e` to a point, shape (N,).
 
-        The distance is negative if the point is behind, or to the right for a lateral distance.
+        The distance is negative if the point is behind, or to the right for a lateral distance. In road coordinates,
+        right is seen along s if entity and point are on the same road.
         """
         if (kernel_kind := self.kernel_kind(to_entity=False)) is not None:
             return world.compiled.measure_to_point(e, pose.x, pose.y, kernel_kind)

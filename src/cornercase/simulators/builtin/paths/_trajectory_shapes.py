@@ -255,7 +255,7 @@ def _read_segment_times(
 ) -> FloatArray:
     """Return the times in s at which the segments of a spline begin, and the time at which the last segment ends.
 
-    Missing times are interpolated.
+    Missing times are interpolated, but a missing first or last time is 0.
     """
     given: dict[int, FloatArray] = {
         k: scope.read_numbers(segment, "timeStart")

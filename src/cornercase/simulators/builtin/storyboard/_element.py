@@ -42,7 +42,7 @@ class StateWatcher:
         self._has_changed, self._was_matched = (np.zeros(scenarios, dtype=np.bool_) for _ in range(2))
 
     def __call__(self, world: World, where: BoolArray) -> BoolArray:
-        """Return the scenarios in which the state holds, or the transition has occurred since the last call."""
+        """Return the scenarios in which the state holds, or state or transition has occurred since the last call."""
         result = (
             self._was_matched
             if self._state is None

@@ -78,9 +78,9 @@ _COMPONENTS: Final = {
 
 
 def _make_threshold_reader(kind: int, attribute: str) -> ConditionReader:
-    """Return a function that reads a condition, which holds if a property of the entity exceeds a number in the file.
+    """Return a function that reads a condition, which holds if a property of the entity reaches a number in the file.
 
-    `attribute` is the XML attribute with this number.
+    `attribute` is the XML attribute with this number. A duration of standstill must exceed it.
     """
     return lambda element, scope, world: (LeafCondition(kind, values=(scope.read_numbers(element, attribute),)),)
 
@@ -105,7 +105,7 @@ def _reach_position_condition(element: etree._Element, scope: Scope, world: Worl
 
 
 def _make_velocity_reader(kind: int) -> ConditionReader:
-    """Return a function that reads a condition on a component of a velocity or an acceleration."""
+    """Return a function that reads a condition on the size or a component of a velocity or an acceleration."""
 
     def read(element: etree._Element, scope: Scope, world: World) -> EntityTest:
         other = read_entity_index(element, scope, world) if kind == conditions.RELATIVE_SPEED_CONDITION else -1

@@ -67,8 +67,8 @@ def advance_on_lane(tracks, row, distance, offset, step):
 def advance_on_lane_path(addresses, n_samples, n_curvatures, distance, offset, steps):
     """Return the distances in m along a lane path after R entities have moved by `steps` m, shape (R,).
 
-    `addresses` are the memory addresses of the arrays of the path. Arrays of curvatures have `n_curvatures` items, all
-    others `n_samples`.
+    `addresses` are the memory addresses of the arrays of the path. The curvatures of the reference line and their
+    positions have `n_curvatures` items, all other arrays `n_samples`.
     """
     result = np.empty(len(distance))
     for i in range(len(distance)):

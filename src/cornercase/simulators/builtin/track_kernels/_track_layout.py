@@ -58,7 +58,7 @@ class TrackTable(NamedTuple):
     is_closed: BoolArray  # (G,): whether a polyline is a loop
     has_times: BoolArray  # (G,): whether a trajectory has times
     heading_interpolation: IntArray  # (G,): `ALONG_SEGMENTS` and so on, for a polyline
-    is_uniform: BoolArray  # (G,): whether a trajectory is the same in all scenarios, and stored in one row
+    is_uniform: BoolArray  # (G,): whether a trajectory has the same shape in all scenarios, so that row 0 is read
 
 
 def alloc_track_table(n_tracks: int) -> TrackTable:

@@ -23,8 +23,8 @@ _MIN_BEND: Final = 1e-7
 class ClothoidSpline(Trajectory):
     """A trajectory of K segments with linearly changing curvature, in N scenarios.
 
-    As in esmini, the entity moves along chords of 1 m. Chords are within millimetres of the curve, and much faster to
-    compute.
+    As in esmini, the entity moves along chords of 1 m, or longer ones if the spline is longer than 2 km. Chords are
+    within millimetres of the curve, and much faster to compute.
 
     Arguments: `x`, `y`, `heading` (N,) are the start pose. `start` and `end` (N, K) are the curvatures in 1/m at the
     start and end of each segment, `length` (N, K) is its length in m. `times` (N, K + 1) are the times in s at which

@@ -69,7 +69,8 @@ class LaneTrack(Track):
         As in esmini, the step is made along the reference line of the road, scaled by a factor, since an entity beside
         this line covers another length in a bend. The factor follows from the curvature at the start of the step. If
         the entity would then cover a length that differs from `step` by more than 0.1 %, the step is made along the
-        lane instead. That happens if the curvature changes, or if the lane is not parallel to the reference line.
+        lane instead. That happens if the curvature changes, or if the lane is not parallel to the reference line. A
+        step over a sideways jump of the lane is always made along the reference line.
         """
         path = self.path
         return np.asarray(

@@ -100,7 +100,8 @@ class Track(ABC):
     ) -> FloatArray:
         """Return the distance in m along the track at which it is nearest to (x, y), shape (R,).
 
-        If a lane track passes the point several times, the first pass beyond the distance `after` counts.
+        If a lane track passes the point several times, the first pass beyond the distance `after` - 1 m counts, or the
+        first of all if there is none.
         """
 
     def project_moving_point(self, x: FloatArray, y: FloatArray, rows: IntArray, before: FloatArray) -> FloatArray:

@@ -20,8 +20,8 @@ def free_space_to_entity_on_road(
 ) -> FloatArray:
     """Return the smallest difference in s (or in t if `lateral`) between the corners of two boxes, in m, shape (N,).
 
-    The difference is 0 if the boxes are side by side, and `default` if they are on different roads. It is positive if
-    the other entity is ahead, or to the left (seen along s) if `lateral`.
+    The difference is 0 if the boxes are side by side (one behind the other if `lateral`), and `default` if they are on
+    different roads. It is positive if the other entity is ahead, or to the left (seen along s) if `lateral`.
     """
     own_pose, other_pose = road_pose(world, entity), road_pose(world, other)
     if own_pose.road is None or other_pose.road is None:
@@ -48,8 +48,8 @@ def free_space_to_point_on_road(
 ) -> FloatArray:
     """Return the smallest difference in s (or in t if `lateral`) between the corners of a box and a point, in m, (N,).
 
-    The difference is 0 if the point is beside the box, and `default` if it is on another road. It is positive if the
-    point is ahead, or to the left (seen along s) if `lateral`.
+    The difference is 0 if the point is beside the box (ahead of it or behind it if `lateral`), and `default` if it is
+    on another road. It is positive if the point is ahead, or to the left (seen along s) if `lateral`.
     """
     own_pose = road_pose(world, entity)
     if own_pose.road is None or target.road is None or target.s is None:

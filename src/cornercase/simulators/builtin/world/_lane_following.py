@@ -105,9 +105,9 @@ def _locate_entity(world: World, network: RoadNetwork, entity: int, where: BoolA
 def follow_lane_at_position(world: World, entity: int, where: BoolArray, *, is_tracked: BoolArray) -> None:
     """Make a steered entity that has left the lane of its track follow the lane at its position.
 
-    The entity keeps its track if it is off the road, if traffic on the lane runs against its heading, and while an
-    action makes it change lanes. It also keeps a trajectory in the scenarios `is_tracked` (N,), since there the driver
-    steers along the trajectory.
+    The entity keeps its track if it is on no drivable lane, if its heading differs by 60° or more from the direction of
+    the traffic there, and while an action makes it change lanes. It also keeps a trajectory in the scenarios
+    `is_tracked` (N,), since there the driver steers along the trajectory.
     """
     network = world.network
     if network is None:

@@ -16,7 +16,7 @@ from cornercase.simulators.builtin.world._world import World
 def update_off_road_since(world: World, where: BoolArray) -> None:
     """Update the time in s since which each entity has been off the road, in the scenarios of a mask.
 
-    The time is infinite while the entity is on the road.
+    The time is infinite while the entity is on the road or absent.
     """
     # As in esmini, no entity is off the road before the first time step.
     current_time = np.where(world.last_step > 0.0, world.time, np.inf)
@@ -67,7 +67,7 @@ def shift_along_track(world: World, entity: int, where: BoolArray, distance: Flo
 
 
 def shift_along_trajectory(world: World, entity: int, where: BoolArray, distance: FloatArray) -> None:
-    """Shift an entity on a trajectory forwards by `distance` m, shape (N,), at most to the end of the trajectory."""
+    """Shift an entity on a trajectory forwards by `distance` m, shape (N,), at most to an end of the trajectory."""
     for _, track, at in world.iter_followed_tracks(entity, where):
         if isinstance(track, Trajectory):
             ahead = distance[at] * np.cos(world.turn[entity][at])

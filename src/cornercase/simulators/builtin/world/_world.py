@@ -56,10 +56,11 @@ class Entity:
     """Constant properties of an entity.
 
     `kind`: vehicle category, ``"pedestrian"`` or ``"misc"``. The bounding box is in m; limits are in m/s and m/s², and
-    infinite if not set. `wheelbase` in m and `max_steering` in rad have defaults if the file has no axles. `slides`:
-    True if the entity goes along a trajectory with any heading that the trajectory defines. `polyline_turning`:
-    where the heading changes along a polyline (`ALONG_SEGMENTS`, `AT_CORNERS` or `AT_VERTICES`); None if the
-    ``followingMode`` of the action decides. `body`: XML element of the entity, and the scope in which to read it.
+    infinite if not set (but 0 for the speed of a misc object). `wheelbase` in m and `max_steering` in rad have defaults
+    if the file has no axles. `slides`: True if the entity goes along a trajectory with any heading that the trajectory
+    defines. `polyline_turning`: where the heading changes along a polyline (`ALONG_SEGMENTS`, `AT_CORNERS` or
+    `AT_VERTICES`); None if the ``followingMode`` of the action decides. `body`: XML element of the entity, and the
+    scope in which to read it.
     """
 
     name: str
@@ -119,8 +120,8 @@ class World:
 
     Motion: `friction` (N,): friction coefficient of the road, for vehicle models. `step_velocity` in m/s and
     `step_acceleration` in m/s²: x and y components in the last step. `needs_road_check`: True if a condition asks for
-    entities off the road. `tracks`: all tracks that each entity has followed. `routes`: all assigned routes, each as
-    points (road, lane, s). `lane_tracks`: cache of tracks along lanes.
+    entities off the road. `tracks`: all tracks that each entity has followed. `routes`: all assigned routes and
+    what remains of them, each as points (road, lane, s). `lane_tracks`: cache of tracks along lanes.
 
     Storyboard: `variables` and `parameters`: values (N,), numbers or texts. `values`: parameter values that differ from
     the file, by scenario. `signals`: states of traffic signals (N,), texts. `selections`: indices of entities, by name.
