@@ -146,9 +146,9 @@ class Optimizer(Configurable, ABC):
         required = {name: offered[name] for name in self.requires}
         if "features" in required and features is None:
             required["features"] = registered_features()
-        for name, parameter in {"threshold": "critical", "budget": "budget"}.items():
+        for name in ("threshold", "budget"):
             if name in required and required[name] is None:
-                raise InputError(f"The optimizer '{self}' needs a {name}; give one with `{parameter}`.")
+                raise InputError(f"The optimizer '{self}' needs a {name}; give one with `{name}`.")
         started = self.with_options()
         with convert_plugin_errors(f"The optimizer '{self}'", started, "in prepare"):
             started.prepare(space, seed, **required)

@@ -27,7 +27,7 @@ class CandidateOptimizer(Optimizer):
     Costly parts of the model, such as the kernel of a Gaussian process, are learned again after every ten new
     scenarios, or when the number of scenarios has grown by a tenth if that is later: from the first 20, the first 30,
     and so on to 100, 110, 121. Failed scenarios count. In between, the model is only conditioned on the new scores. So
-    proposals depend on the observed results only, not on the size of rounds.
+    proposals depend on the observed results only, not on the sizes of the earlier rounds.
 
     In a search without rounds, some points are pending: proposed, but without a result. The fraction of space-filling
     points is a fraction of all proposed points, including pending ones. The model knows the positions of pending

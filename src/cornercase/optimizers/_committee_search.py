@@ -156,7 +156,7 @@ class Committee(WarmStartOptimizer):
     def _draw_near_and_far(self, filling: FloatArray, n: int) -> FloatArray:
         """Draw candidates all over the space, and candidates near some scenarios that were run.
 
-        These scenarios are all critical scenarios and the scenario with the lowest score.
+        These scenarios are all critical scenarios and the scenarios with the lowest score.
         """
         scores = self._scores[self._is_finished]
         critical = self._points[self._is_finished][self._criterion.is_critical(scores) | (scores == scores.min())]

@@ -61,7 +61,7 @@ class Grid(Optimizer):
         return self._points[self._n_observed : self._n_observed + n].copy()
 
     def ask_async(self, n: int, pending: FloatArray, *lies: Any) -> FloatArray:
-        """Return the next points of the grid; `pending` has no effect."""
+        """Return the next points of the grid after those in `pending`."""
         start = self._n_observed + len(pending)
         return self._points[start : start + n].copy()
 

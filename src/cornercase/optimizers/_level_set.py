@@ -49,7 +49,7 @@ class LevelSet(WarmStartOptimizer):
 
     If scenarios have failed, a second Gaussian process predicts the probability that a candidate fails. A candidate is
     excluded if this probability is above 25 %, and also above 1.25 times the fraction of scenarios that failed so far.
-    Points of the Sobol' sequence are not excluded.
+    Points of the Sobol' sequence, and points downhill from local minima, are not excluded.
 
     After every ten new scenarios, or when the number of scenarios has grown by a tenth if that is later, the kernel is
     learned again and new candidates are drawn. The best 4096 of them serve for all rounds until the next such time.

@@ -84,7 +84,7 @@ class Optuna(Optimizer):
     def ask_async(self, n: int, pending: FloatArray, *lies: Any) -> FloatArray:
         """Propose points while others are pending, that is, without a result.
 
-        Optuna counts pending points as running trials, which TPE treats as bad.
+        Optuna counts pending points of its sampler as running trials, which TPE treats as bad.
         """
         self._in_rounds = False
         return self._propose(n, pending)
@@ -144,7 +144,7 @@ class Optuna(Optimizer):
         return np.array([np.frombuffer(key) for key in self._open_trials]).reshape(-1, self._space.dimension)
 
     def _new_point(self, pending: FloatArray) -> FloatArray | None:
-        """Return a new point of the sampler, shape (d,), that was not proposed before; None if there is none."""
+        """Return a new point of the sampler, shape (d,), that was not proposed before; None if 20 tries give none."""
         for _ in range(_TRIES):
             trial = self._study.ask(self._parameter_distributions())
             for point in self._deduplicator.filter(

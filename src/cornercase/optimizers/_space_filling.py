@@ -20,8 +20,9 @@ _MAX_DRAWN: Final = 1 << 20
 class SequenceOptimizer(Optimizer):
     """Base class of optimizers that propose the points of an endless sequence, except scenarios that were run before.
 
-    A finite space is run completely. When the sequence hardly reaches new scenarios any more, the remaining scenarios
-    follow in a random order, which depends on the same seed.
+    A finite space of up to 262,144 scenarios is run completely. When the sequence hardly reaches new scenarios any
+    more, the remaining scenarios follow in a random order, which depends on the same seed. In a larger space the
+    sequence ends after about a million points (`_MAX_DRAWN`).
     """
 
     multi_objective = True
@@ -50,7 +51,7 @@ class SequenceOptimizer(Optimizer):
         Returns
         -------
         ndarray of float64, shape (m, d)
-            Fewer than n points only if the space has no more points.
+            Fewer than n points only if the space has no more points, or if the sequence has ended.
         """
         while len(points := self._filter_ready_points(exclude)) < n and self._draw_more(n - len(points)):
             pass

@@ -43,7 +43,10 @@ def bearing_series(recording: Recording, ego: str, other: str) -> FloatArray:
 
 
 def _fill_missing_instants(values: FloatArray) -> FloatArray:
-    """Fill instants at which an entity does not exist with its last earlier values, or with its first values."""
+    """Fill instants at which an entity does not exist with its last earlier values, or with its first values.
+
+    All values are 0 if the entity never exists.
+    """
     exists = np.isfinite(values).all(axis=1)
     if exists.all():
         return values

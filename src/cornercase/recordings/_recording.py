@@ -67,7 +67,7 @@ class Recording:
     names : tuple of str, length A
         Names of the entities.
     object_types : tuple of str, length A
-        Vehicle category (``"car"``, ``"truck"``, …), ``"pedestrian"`` or ``"misc"``, by entity.
+        Vehicle category (``"car"``, ``"truck"``, …), ``"pedestrian"``, ``"animal"`` or ``"misc"``, by entity.
     x, y : ndarray of float64, shape (A, T)
         Reference point of OpenSCENARIO in m: for vehicles, the center of the rear axle on the ground. All motion is NaN
         while an entity does not exist.
@@ -239,6 +239,7 @@ class Recording:
             One row per instant and entity, with the columns of the CSV: ``time`` in s, ``entity``, ``kind``, ``x``,
             ``y``, ``heading``, ``speed``, ``acceleration``, ``length``, ``width``, ``center_x`` in m, rad, m/s and
             m/s², and ``collision``: entities that the entity begins to touch at that instant, separated by semicolons.
+            Each contact is only in the row of its first entity, in the order of `names`.
         """
         import pandas
 
@@ -255,7 +256,10 @@ class Recording:
         return pandas.DataFrame(columns)
 
     def _first_contacts(self) -> dict[tuple[int, str], list[str]]:
-        """Return which entities each entity begins to touch at an instant, by index of the instant and entity name."""
+        """Return which entities each entity begins to touch at an instant, by index of the instant and entity name.
+
+        Each contact is listed only for the first of its two entities.
+        """
         touched: dict[tuple[int, str], list[str]] = {}
         for collision in self.collisions:
             first, second = collision.entities
@@ -293,8 +297,9 @@ class Recording:
         """Write one row per instant and entity, with the columns `CSV_COLUMNS` and ``collision``.
 
         Reading the file with `cornercase.recordings.read_recording` gives the same numbers, bit by bit. The column
-        ``collision`` has the entities that an entity begins to touch at this instant, separated by semicolons. A text
-        that a spreadsheet would take for a formula gets an apostrophe in front, which is removed when the file is read.
+        ``collision`` has the entities that an entity begins to touch at this instant, separated by semicolons; each
+        contact is only in the row of the first of its two entities. A text that a spreadsheet would take for a formula
+        gets an apostrophe in front, which is removed when the file is read.
 
         Parameters
         ----------

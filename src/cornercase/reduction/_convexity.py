@@ -24,8 +24,8 @@ def measure_convexity(points: FloatArray, is_member: BoolArray) -> float:
     """Measure how much of the space between the members of a cluster belongs to the cluster, 0 to 1.
 
     Three evenly spaced points are sampled on the line between each two members; of very many pairs, 20,000 are used.
-    The result is the share of these points that belong to the cluster. It is about 1 for a ball and a cube, and 0.6 for
-    a thin horseshoe.
+    The result is the share of these points that belong to the cluster. It is about 1 for a ball and a cube, and 0.3 to
+    0.7 for a horseshoe; a thinner horseshoe has a lower value.
 
     A sampled point belongs to the cluster if the scenario nearest to it is a member, and is not too far away. The limit
     is the usual distance between neighbours in the cluster: the 95 % quantile of the distances from each member to its

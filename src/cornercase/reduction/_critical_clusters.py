@@ -11,8 +11,8 @@ from cornercase.study import StudyFile
 def find_critical_clusters(study: StudyFile, analysis: Analysis) -> list[int]:
     """Return the clusters whose median score of the first metric is critical.
 
-    If all clusters are critical, or the study has no threshold, the result is only the cluster with the most critical
-    median.
+    If all clusters are critical, or the study has no threshold, or a threshold for a weighted sum of metrics, the
+    result is only the cluster with the most critical median.
     """
     objective, labels = study.objective, analysis.labels
     metric = objective.metrics[0]

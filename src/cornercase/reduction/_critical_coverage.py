@@ -54,8 +54,9 @@ class CriticalCoverage:
     medoids_largest, medoids_mean : float or None
         Largest and mean distance from critical scenarios that were run to the nearest of the k-medoids.
     unlike : Estimate or None
-        Probability that a critical scenario drawn at random from the space is similar to no selected scenario; None if
-        there are too few critical scenarios.
+        Probability that a critical scenario drawn at random from the space is similar to no selected scenario. None if
+        fewer than 10 critical scenarios were run, if all of these are at the same distance from the nearest selected
+        scenario, or if all scenarios have the same score.
     held_out : HeldOutCriticalCoverage or None, default None
         Cross-validated shares; None if not measured.
 
@@ -97,7 +98,8 @@ def measure_critical_coverage(
     """Measure how well selected scenarios represent the critical scenarios, from the distances to the selected ones.
 
     `points`, shape (n, d), are in the unit cube. `scores` are lower if more critical. A critical scenario is on the
-    boundary if at least one of the 2 d scenarios nearest to it is not critical.
+    boundary if at least one of the 2 e scenarios nearest to it is not critical, where e is the number of coordinates of
+    the points after `encode_points`.
 
     For scenarios that were not run, two Gaussian processes over the parameter space make predictions. The first
     predicts the scores, the second the distance from critical scenarios to the nearest selected scenario. Both are

@@ -25,8 +25,8 @@ _RANK_TOLERANCE = 1e-9
 class Hull:
     """Convex hull of some points: ascending indices of its vertices, and facets, shape (m, r), as indices.
 
-    r is the number of dimensions that the points span. In three dimensions facets are triangles, in a plane edges, and
-    on a line the two ends. A single point has facets of shape (0, 0).
+    r is the number of dimensions that the points span, at most 6. In three dimensions facets are triangles, in a plane
+    edges, and on a line the two ends. A single point has facets of shape (0, 0).
     """
 
     vertices: IntArray

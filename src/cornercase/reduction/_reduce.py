@@ -106,9 +106,9 @@ def reduce(
     by : str, optional
         Aspect (what scenarios are compared by) whose clusters are represented. The default is the aspect whose clusters
         say most about how scenarios end; the report shows this aspect first. If no aspect has several clusters, the
-        default is the first metric of the study. With ``"bands:METRIC"``, the selected scenarios represent bands of
-        high, medium and low criticality by a metric instead of clusters; the study must have been analysed by this
-        metric.
+        default is the first metric of the study, or the last aspect if the study was not analysed by this metric. With
+        ``"bands:METRIC"``, the selected scenarios represent bands of high, medium and low criticality by a metric
+        instead of clusters; the study must have been analysed by this metric.
     size : int, optional
         Number of scenarios to select.
     share : float, optional
@@ -228,7 +228,8 @@ def default_aspect(study: StudyFile) -> str:
     """Return the aspect by which scenarios are selected by default.
 
     An aspect is what scenarios are compared by. The default aspect has the clusters that say most about how scenarios
-    end. If no aspect has several clusters, the default is the first metric of the study.
+    end. If no aspect has several clusters, the default is the first metric of the study, or the last aspect if the
+    study was analysed, but not by this metric.
     """
     analyses = read_analyses(study)
     searched, headline = study.meta.metrics[0], find_headline_aspect(analyses)

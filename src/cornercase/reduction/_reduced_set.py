@@ -69,7 +69,8 @@ class ReducedSet:
     Attributes
     ----------
     by : str
-        Aspect (what scenarios are compared by) whose clusters are represented.
+        Aspect (what scenarios are compared by) whose clusters are represented, or ``bands:METRIC`` if the scenarios
+        represent bands of criticality by a metric.
     n_run : int
         Number of scenarios of the study that had been run when the set was selected.
     scenarios : tuple of SelectedScenario

@@ -28,7 +28,7 @@ class CollisionReactionCounts:
         Number of examined collisions: all collisions whose motion is known, or an evenly spaced sample of them in a
         large study. All following numbers count examined collisions only.
     n_without_braking : int
-        Collisions in which the ego does not brake.
+        Collisions in which the ego does not begin to brake, or to brake harder, in sight of the other entity.
     n_braking : int
         Collisions in which the ego brakes or stands until the contact.
     n_driving_on : int
@@ -40,8 +40,8 @@ class CollisionReactionCounts:
         Median time in s from the instant at which the ego could see the collision coming to the begin of its braking,
         over the `n_reactions` collisions. None if `n_reactions` is 0.
     n_seen_too_late : int
-        Collisions that the ego could see coming so late that even immediate full braking would not have stopped the
-        ego in time.
+        Collisions that the ego could not see coming, or so late that even immediate full braking would not have stopped
+        the ego in time.
     n_avoided_earlier : mapping of float to int
         Collisions that the ego would have avoided if the same braking had begun earlier, by the time in s by which it
         had begun earlier. Empty if the ego brakes in no collision.

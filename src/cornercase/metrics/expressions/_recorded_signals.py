@@ -149,7 +149,7 @@ def signal_unit(name: str) -> str:
 
 
 def has_signal(name: str) -> bool:
-    """Return whether `name` is the name of a signal, or of a metric with any options."""
+    """Return whether `name` is the name of a signal that is no score, or of a metric with any options."""
     return name in _NON_METRIC_UNITS or name.partition(":")[0] in METRICS
 
 

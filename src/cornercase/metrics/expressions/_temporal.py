@@ -18,8 +18,9 @@ _STEP_TOLERANCE: Final = 1e-6  # fraction of a step
 def always(values: FloatArray, interval: tuple[float, float] | None, time: FloatArray) -> FloatArray:
     """Return the smallest value in an interval after each instant, shape (T,).
 
-    `interval` is start and end in s after the instant. If it is None, or the end is inf, it extends to the end of the
-    recording. The result is inf if the interval contains no instant.
+    `interval` is start and end in s after the instant, each rounded to steps of the grid from `_even_grid`. If it is
+    None, or the end is inf, it extends to the end of the recording. The result is inf if the rounded interval begins
+    after the last instant.
     """
     if interval is None:
         return np.asarray(np.minimum.accumulate(values[::-1])[::-1])
@@ -31,7 +32,7 @@ def until(left: FloatArray, right: FloatArray, interval: tuple[float, float] | N
     """Return the robustness of ``left until right`` from each instant on, shape (T,).
 
     `right` has to hold at an instant in the interval, and `left` at all instants before that instant. `interval` is as
-    in `always`; the result is -inf if it contains no instant.
+    in `always`; the result is -inf if the rounded interval begins after the last instant.
 
     With an interval the formula is rewritten as in Donzé, Ferrère and Maler 2013 ("Efficient robust monitoring for
     STL"), as a conjunction of three parts: `right` holds at some time in the interval; `left` holds before the

@@ -34,7 +34,7 @@ _UNITS: Final = MappingProxyType(
 
 
 def normalize_unit(unit: str) -> str:
-    """Return the normalized spelling of a unit: ``²`` replaces ``^2`` and a 2 at the end."""
+    """Return the normalized spelling of a unit: ``²`` replaces ``^2``, and the 2 of ``m/s2`` and ``s2``."""
     plain = unit.replace("^2", "²")
     return plain[:-1] + "²" if plain in ("m/s2", "s2") else plain
 
@@ -42,7 +42,7 @@ def normalize_unit(unit: str) -> str:
 def convert_to_unit(number: float, from_unit: str, to_unit: str) -> float:
     """Convert a number to the unit `to_unit`. An empty `from_unit` means that the number has this unit already.
 
-    Raises InputError, which names the units that fit, if `from_unit` is unknown or measures another quantity.
+    Raises InputError if `from_unit` is unknown. If it measures another quantity, the error names the units that fit.
     """
     unit, target = normalize_unit(from_unit), normalize_unit(to_unit)
     if unit in ("", target):

@@ -54,7 +54,7 @@ class ConflictApproach:
 
     @property
     def is_lane_change_ambiguous(self) -> bool:
-        """True if both parties turn to the same side, and no road shows which party left its lane."""
+        """True if both parties turn to the same side, by 10° or more, and no road shows which party left its lane."""
         both_turn = min(map(abs, self.turns)) >= STRAIGHT and self.turns[0] * self.turns[1] > 0.0
         return both_turn and not self.along_road
 

@@ -40,7 +40,8 @@ class AvoidanceChance:
     `foreseeable` is for how long in s before the contact the party could see the collision coming. `could_avoid` says
     whether a careful and competent driver would have avoided the collision by braking when it became foreseeable.
     `is_whole` is False if the collision may have been foreseeable even earlier: it was already foreseeable at the
-    beginning of the recording, or 8 s before the contact, where the search ends.
+    beginning of the recording, or 8 s before the contact, where the search ends. It is also False if the recording
+    begins less than 0.1 s before the contact.
     """
 
     foreseeable: float
@@ -72,7 +73,8 @@ def find_foreseeable_time(
     """Return for how long in s a collision was foreseeable before the contact, and whether this time is complete.
 
     The time is 0 if the collision never was foreseeable, as defined in `find_chance`. It is incomplete if the collision
-    was already foreseeable at the beginning of the recording, or 8 s before the contact, where the search ends.
+    was already foreseeable at the beginning of the recording, or 8 s before the contact, where the search ends, or if
+    the recording begins less than 0.1 s before the contact.
     """
     instants, is_danger = find_foreseeable_dangers(party, partner, contact, obstacles)
     if not len(instants):

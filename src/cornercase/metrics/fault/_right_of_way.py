@@ -167,7 +167,7 @@ def _find_entry_and_junction_road(
 
 
 def _has_yield_sign(network: RoadNetwork, route: list[int], junction: str) -> bool:
-    """Return whether a sign to yield or to stop stands in the last 30 m of a route before it enters a junction."""
+    """Return whether a sign to yield or to stop is in the last 30 m of the road by which a route enters a junction."""
     for k, after in pairwise(route):
         road = network.roads[k]
         if network.roads[after].junction != junction or road.junction == junction:

@@ -47,18 +47,20 @@ Reply = Literal["none", "brakes", "drives on"]
 class EgoReaction:
     """Reaction of the ego to a collision with another entity, and what else would have avoided the collision.
 
-    `reply` is ``"none"`` if the ego did not brake, ``"brakes"`` if it braked or stood until the contact, and ``"drives
-    on"`` if it braked and sped up again before the contact. `reaction` is the time in s from the instant at which the
-    collision became foreseeable to the begin of braking. It is negative if the ego braked earlier, by up to 0.5 s. It
-    is None if the ego did not brake, or braked too early to react to this collision. `seen_too_late` is True if the ego
-    could not stand before the contact even by full braking at the instant at which the collision became foreseeable.
+    `reply` is ``"none"`` if the ego did not begin to brake, or to brake harder, in sight of the other entity within the
+    10 s before the contact. It is ``"brakes"`` if the ego braked or stood until the contact, and ``"drives on"`` if it
+    braked and sped up again before the contact. `reaction` is the time in s from the instant at which the collision
+    became foreseeable to the begin of braking. It is negative if the ego braked earlier, by up to 0.5 s. It is None if
+    `reply` is ``"none"``, if the ego braked too early to react to this collision, or if the collision never was
+    foreseeable. `seen_too_late` is True if the ego could not stand before the contact even by full braking at the
+    instant at which the collision became foreseeable, or if the collision never was foreseeable.
 
     `avoided_by` has one value for each time in `EARLIER`: whether the collision is avoided if the ego begins the same
     braking earlier by this time, and then stops and waits. But the ego does not brake before it could see the other
-    entity. `avoided_by` is None if the ego did not brake. `avoided` says whether another alternative avoids the
-    collision. If the ego did not brake, the alternative is to brake fully 1.15 s after the collision became
-    foreseeable, like the careful driver of UN Regulation No. 157. If the ego drove on, the alternative is to stop and
-    wait. `avoided` is None if neither applies.
+    entity. `avoided_by` is None if `reply` is ``"none"``. `avoided` says whether another alternative avoids the
+    collision. If `reply` is ``"none"``, the alternative is to brake fully 1.15 s after the collision became
+    foreseeable, like the careful driver of UN Regulation No. 157; None if it never was foreseeable. If the ego drove
+    on, the alternative is to stop and wait. If `reply` is ``"brakes"``, `avoided` is None.
     """
 
     events: EncounterEvents

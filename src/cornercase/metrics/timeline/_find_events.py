@@ -61,11 +61,14 @@ class EncounterEvents:
     which a collision was foreseeable, before they are closest. `contact` is when they touch. `closest` is the instant
     of the smallest gap between the boxes, and `gap` is this gap in m.
 
-    `brakes` is the begin of the first braking that starts at most 0.5 s before `foresees`, or later. If there is none,
-    `brakes` is the begin of the first of these that exists: harder braking after `foresees`, braking that goes on at
-    `foresees`, the last braking that ended in standing. `slows` is the begin of the slowing down that leads to this
-    braking. Without a foreseeable collision, `slows` is None, and `brakes` is the begin of the last braking that
-    started in sight of the other entity.
+    `brakes` is the begin of the first braking that starts in sight of the other entity, and at most 0.5 s before
+    `foresees` or later. If there is none, `brakes` is the begin of the first of these that exists: harder braking after
+    `foresees`, braking that started in sight earlier and goes on at `foresees`, the last braking that started in sight
+    and ended in standing. `slows` is the begin of the slowing down that leads to this braking, or `brakes` if the
+    slowing down started more than 0.5 s before `foresees`. If the ego does not brake, or only before `foresees` to
+    stand, `slows` is the begin of the first slowing down that starts in sight, and at most 0.5 s before `foresees` or
+    later. Without a foreseeable collision, `slows` is None, and `brakes` is the begin of the last braking that started
+    in sight.
     """
 
     other: str

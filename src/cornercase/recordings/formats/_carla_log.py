@@ -42,9 +42,9 @@ class _Actor:
 def read_carla_log(path: Path | str) -> Recording:
     """Read a file of CARLA's recorder (0.9.13 or later, which stores boxes); CARLA itself is not needed.
 
-    Vehicles and walkers are named by their role, such as ``hero``, if it is unique, or else by type
-    and number. Reference points
-    are the box centers. CARLA's axes are left-handed, so y and headings change sign.
+    Vehicles and walkers are named by their role, such as ``hero``, or by their type if they have no role or one of
+    ``autopilot``, ``scenario``, ``default`` and ``background``. If several have the same name, the number of the actor
+    follows. Reference points are the box centers. CARLA's axes are left-handed, so y and headings change sign.
     """
     path = Path(path)
     data = read_file(path, _MAX_FILE_SIZE)

@@ -36,9 +36,9 @@ _OBJECT_TYPES = {
 def read_commonroad(path: Path | str) -> Recording:
     """Read the obstacles of a CommonRoad scenario, named by their ids; requires the extra ``commonroad``.
 
-    Dynamic obstacles must have a trajectory. Static obstacles stand at all times. A CommonRoad scenario does not
-    contain the motion of the ego, since finding it is the task of a planner. So add the ego as an obstacle with
-    the planned trajectory.
+    The prediction of a dynamic obstacle must be a trajectory; without a prediction, only its initial state is read.
+    Static obstacles stand at all times. A CommonRoad scenario does not contain the motion of the ego, since finding it
+    is the task of a planner. So add the ego as an obstacle with the planned trajectory.
     """
     path = Path(path)
     # Refuse what commonroad-io would accept: document types, huge files, huge numbers.

@@ -95,7 +95,8 @@ def _find_entity_name(moving_object: Any) -> str:
 def _iter_ground_truths(path: Path) -> Iterator[Any]:
     """Yield the GroundTruth of each message.
 
-    Messages of type SensorView are read if they contain moving objects, otherwise messages of type GroundTruth.
+    Messages of type SensorView are read if the first of them contains moving objects, otherwise messages of type
+    GroundTruth. Raises InputError if the first of these contains no moving objects, either.
     """
     for kind in ("SensorView", "GroundTruth"):
         truths = (m.global_ground_truth if kind == "SensorView" else m for m in _iter_messages(path, kind))

@@ -104,7 +104,10 @@ def _put_critical_first(selection_input: SelectionInput, selected: Sequence[Sele
 
 
 def _put_killing_first(selection_input: SelectionInput, selected: Sequence[Selected]) -> tuple[Selected, ...]:
-    """Put scenarios that kill mutants of the driver first, and drop as many scenarios at the end."""
+    """Put scenarios that kill mutants of the driver first; at most as many scenarios as before are kept.
+
+    Scenarios similar to one that kills mutants are dropped, then the last ones.
+    """
     assert selection_input.kills is not None
     distances, labels = selection_input.distances, selection_input.labels
     selection = Selection(distances, len(selected))
