@@ -138,7 +138,8 @@ class TimeLimit(StopRule):
 class NoImprovement(StopRule):
     """Stop rule that ends an exploration after `rounds` rounds in a row without an improvement.
 
-    An improvement is a score at least as critical as the best so far.
+    An improvement is a score at least as critical as the best so far. The least critical score (cap) is an improvement
+    only the first time. In an exploration without rounds, `batch` scenarios count as a round.
     """
 
     rounds: int
@@ -333,7 +334,7 @@ def no_improvement(rounds: int) -> StopRule:
     Parameters
     ----------
     rounds : int
-        Number of rounds in a row. In an exploration without rounds, each scenario counts as a round.
+        Number of rounds in a row. In an exploration without rounds, `batch` scenarios count as a round.
 
     Returns
     -------

@@ -21,7 +21,7 @@ DISTANCES: Final = "distances"
 
 # Bytes of a piece before packing; pieces are small, so that little memory is used twice.
 _PIECE_BYTES: Final = 1 << 25
-# Limit of bytes of an array other than distances.
+# Limit of bytes of a piece after unpacking.
 _MAX_ARRAY_BYTES: Final = 1 << 26
 # Larger arrays are compressed only if a sample becomes shorter by a tenth; a sample of coordinates does not.
 _ALWAYS_COMPRESSED_BYTES, _SAMPLE_BYTES, _WORTHWHILE_SHARE = 1 << 16, 1 << 14, 0.9

@@ -32,7 +32,10 @@ class DamageError(InputError):
 
 @contextmanager
 def reraise_read_errors(path: Path) -> Iterator[None]:
-    """Turn each error that damaged content causes in the block into an `InputError` whose message names the study."""
+    """Turn each error that damaged content causes in the block into an `InputError` whose message names the study.
+
+    A `DamageError` stays as it is.
+    """
     try:
         yield
     except DamageError:

@@ -281,7 +281,7 @@ def create_tables(connection: sqlite3.Connection, *extra_tables: str) -> None:
 def open_note_transaction(path: Path, timeout: float = _NOTE_TIMEOUT) -> Iterator[sqlite3.Connection]:
     """Open a short transaction that needs no lease (exclusive right), so that notes can be written during a search.
 
-    SQLite lets only one transaction write at a time; another transaction waits up to `timeout` s.
+    SQLite lets only one transaction write at a time; this one waits up to `timeout` s for another.
     """
     reader = Database.open(path, readonly=True)
     can_write = reader.data_version() is not None

@@ -102,7 +102,8 @@ def import_recordings(
         Name of the entity under test.
     other : str or sequence of str
         Entity that the ego is measured against; ``"*"`` stands for all other entities. If there are several, the most
-        critical score counts. An entity that a recording lacks is ignored in that recording.
+        critical score counts, and entities that a recording lacks are ignored in that recording. A recording that has
+        none of the entities cannot be measured.
     metrics : Metric or str, or sequence of these
         The first one defines criticality.
     table : path, optional

@@ -31,7 +31,7 @@ from cornercase._common.errors import InputError, StudyLostError
 # Time in s between renewals, and after which a lease expires that was not renewed.
 _RENEWAL_INTERVAL: Final = 30.0
 _EXPIRY_TIME: Final = 120.0
-# Tolerance in s for the start time of a process, which depends on the clock on some systems.
+# Tolerance for the start time of a process, which depends on the clock on some systems; unit of `_process_start_time`.
 _START_TIME_TOLERANCE: Final = 5.0
 _LOCK_TIMEOUT: Final = 5.0
 
@@ -155,7 +155,7 @@ def _machine_id() -> str:
 
 
 def _process_start_time(pid: int) -> float | None:
-    """Return the start time of a process, by a clock with an arbitrary zero.
+    """Return the start time of a process by a clock with an arbitrary zero; in clock ticks on Linux, else in s.
 
     Return None if there is no such process, and NaN if the time is unknown.
     """

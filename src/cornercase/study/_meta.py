@@ -100,8 +100,8 @@ class StudyMeta:
         Path of the scenario file; for imported recordings and suites, path of their folder. The path is relative to the
         folder of the study. Only the name is stored if the path would reveal folders of the machine.
     fingerprint : str
-        SHA-256 of the scenario file and all files that it uses, or of the imported files. For a suite, SHA-256 of the
-        first scenario file and all files that it uses.
+        SHA-256 of the scenario file and all files that it uses, or of the table and the recordings of an import. For a
+        suite, SHA-256 of the first scenario file that can be run, and all files that it uses.
     space : ParameterSpace
         The parameter space.
     ego : str
@@ -159,7 +159,7 @@ class StudyMeta:
         Version of cornercase that created the study.
     driver_in_file : str or None
         Driver that the scenario file names for the ego. Empty if the file names no driver, so that the ego follows the
-        storyboard unless a driver is given. None if unknown, as for simulators that drive the ego themselves.
+        storyboard unless a driver is given. None if unknown, as for all simulators but the builtin one.
 
     Examples
     --------
@@ -417,8 +417,8 @@ class StudyMeta:
     def require_resumable(self, other: StudyMeta, path: Path, *, same_budget: bool = False) -> None:
         """Raise `InputError` unless a study with this description can be continued with the description `other`.
 
-        The budget may grow. Files and simulator may be in another place. A threshold may be added if the study has
-        none.
+        The budget may change, unless `same_budget` is True. Files and simulator may be in another place. A threshold
+        may be added if the study has none. Requirements, cluster names and origin of a suite may change.
 
         Parameters
         ----------
@@ -508,7 +508,10 @@ def _base_name(path: str) -> str:
 
 
 def _require_same_driver_files(stored_settings: Mapping[str, Any], new_settings: Mapping[str, Any], path: Path) -> None:
-    """Raise `InputError` if a driver's file has changed: a study must hold runs of only one version of a driver."""
+    """Raise `InputError` if settings differ only in drivers' files: a study must hold runs of one version of a driver.
+
+    If the settings differ in anything else, nothing is raised: the caller then describes all differences.
+    """
     if {**stored_settings, _DRIVERS_KEY: None} != {**new_settings, _DRIVERS_KEY: None}:
         return
     changes = list(iter_driver_changes(stored_settings.get(_DRIVERS_KEY), new_settings.get(_DRIVERS_KEY)))

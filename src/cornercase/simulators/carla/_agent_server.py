@@ -68,7 +68,7 @@ class AgentServer:
 
     @property
     def limit_notices(self) -> Mapping[str, str]:
-        """Sentences without full stop, one for each limit of the vehicle that the driver exceeded."""
+        """Sentences without full stop, one for each limit that the driver exceeded, as in `AttachedDriver`."""
         return self._attached_driver.limit_notices
 
     def __enter__(self) -> Self:

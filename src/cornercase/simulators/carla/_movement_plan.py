@@ -48,6 +48,8 @@ def plan_movements(
     An entity that does not react to agent-driven entities moves the same way in each run. If ScenarioRunner would
     deviate from the storyboard, such an entity therefore follows a trajectory of the builtin simulator. An entity that
     reacts to agent-driven entities is moved by the storyboard, as long as ScenarioRunner does something similar.
+    Without a road file, the storyboard moves each entity that no agent drives. `InputError` is then raised if
+    ScenarioRunner cannot execute the motion of such an entity.
 
     `driven`: agent-driven entities. `source` names the scenario in messages. `carla_map_name`: CARLA's map, empty if
     there is a road file. `deviations`: reasons why ScenarioRunner's own controls would move an entity along another
@@ -105,7 +107,8 @@ def select_stop_conditions(
 ) -> list[etree._Element]:
     """Return the condition groups of the stop trigger that ScenarioRunner can check; note all others in the plan.
 
-    Without agent-driven entities no group is returned, since the builtin simulator has shown when the scenario ends.
+    Without agent-driven entities no group is returned or noted, since the builtin simulator has shown when the scenario
+    ends.
     """
     groups = []
     for group in root.iterfind("Storyboard/StopTrigger/ConditionGroup"):
@@ -123,7 +126,7 @@ def select_stop_conditions(
 
 
 def _drop_events_of_driven(name: str, parts: list[etree._Element], actor_plan: MovementPlan) -> None:
-    """Plan to leave out the events of an agent-driven entity if ScenarioRunner would fail at one of them."""
+    """Plan to leave out the events of an agent-driven entity if ScenarioRunner cannot execute one of them."""
     for part in parts:
         if part.tag == "ManeuverGroup" and any(
             finding.row.status is HandlingStatus.SAMPLED for finding in find_unsupported(part)
@@ -354,4 +357,4 @@ def _plan_trajectories_of_waiting_entities(
         if name not in actor_plan.sampled and actors & replaced_entities(actor_plan)
     ]:
         for name in more:
-            actor_plan.sampled[name] = ["it waits for events of one that moves along a trajectory"]
+            actor_plan.sampled[name] = ["it waits for events that are left out of the storyboard"]

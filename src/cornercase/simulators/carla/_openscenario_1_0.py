@@ -165,8 +165,8 @@ class ConversionOptions:
     copied road file, relative to the folder of the new file (default: next to it). `controllers`: folder of
     cornercase's controllers, relative to the same folder. `with_criteria`: whether ScenarioRunner judges the run by the
     criteria of the scenario. `is_run`: whether the file is only for a run by cornercase; trajectories are then given
-    to controllers, instead of being written into the storyboard. `knows_left_hand_traffic`: whether CARLA's client
-    recognizes left-hand traffic in a road file, as in 0.9.16 and later.
+    only to controllers, otherwise they are also written into the storyboard. `knows_left_hand_traffic`: whether CARLA's
+    client recognizes left-hand traffic in a road file, as in 0.9.16 and later.
     """
 
     agents: DrivingAgents = field(default_factory=DrivingAgents)
@@ -436,7 +436,8 @@ def _resolve_expressions(element: etree._Element, scope: Scope) -> None:
 def _trim_numbers(root: etree._Element) -> None:
     """Remove surrounding spaces, plus signs and exponents from numbers in attributes.
 
-    ScenarioRunner cannot read numbers that contain them.
+    ScenarioRunner cannot read numbers that contain them. A number in a ``Property`` only loses the spaces; names and
+    references are left as they are.
     """
     for element in root.iter("*"):
         for name, text in element.attrib.items():

@@ -51,9 +51,9 @@ def describe_overridden_parameters(
 
 
 def _find_overriding_entity(element: etree._Element, driven: Collection[str]) -> tuple[str, bool]:
-    """Return the driven entity whose motion an element sets, and whether the element sets its first speed.
+    """Return the first driven entity whose motion an element sets, and whether the element sets its first speed.
 
-    The entity is empty if the element sets the motion of no driven entity.
+    The entity is empty if the element sets no motion, or the motion of an entity that is not driven.
     """
     action = next(element.iterancestors("PrivateAction"), None)
     if action is None:

@@ -27,8 +27,9 @@ def find_deviating_entities(
     """Return the entities that ScenarioRunner's own controls would move along another path, with the reasons.
 
     The controls move a vehicle along the middle of the nearest lane in its direction, and choose an arbitrary branch at
-    junctions. They move a walker straight ahead. Entities that never move are left out. `road` is the path of the road
-    file; `scenario` caches its content. `knows_left_hand_traffic`: whether CARLA supports left-hand traffic.
+    junctions. They move a walker straight ahead. Entities that stay within 0.3 m of their start are left out. `road` is
+    the path of the road file; `scenario` caches its content. `knows_left_hand_traffic`: whether CARLA supports
+    left-hand traffic.
     """
     network = None if road is None else RoadNetwork.from_xml(scenario.get_root(road), road)
     reasons = {}

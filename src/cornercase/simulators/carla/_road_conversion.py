@@ -18,7 +18,7 @@ _LANE_CONTENT: Final = f'<width sOffset="0" a="{VERGE_WIDTH:g}" b="0" c="0" d="0
 
 
 def road_text_for_carla(root: etree._Element) -> str:
-    """Return the text of a road file for CARLA, with ground beside flat roads and road marks on all lanes.
+    """Return the text of a road file for CARLA, with road marks on all lanes, and ground beside roads if all are flat.
 
     The text begins with ``<OpenDRIVE>`` without attributes, since ScenarioRunner 0.9.13 searches for exactly this tag.
     ScenarioRunner compares the text from there on with the text of the loaded map, and loads the map again if they

@@ -27,7 +27,7 @@ def write_run_scenario(
 
     Raises `SimulationError` if only `values` are at fault, since the scenario can be written with the values of its
     file. Raises `InputError` if it cannot be written with these values either, or if it needs something that
-    ScenarioRunner lacks in `version`. An empty `version` is unknown and not checked.
+    ScenarioRunner lacks in `version`. A `version` that is not in the support table is not checked.
     """
     try:
         notes = write_openscenario_1_0(scenario, values, target, ego=ego, options=options)

@@ -71,7 +71,10 @@ class RunnerEnvironment:
         return bool(_FRAME_RATE_PATTERN.search(_read_source(self.folder / "scenario_runner.py")))
 
     def check_versions(self, client: str, server: str, address: str) -> None:
-        """Raise `InputError` unless ScenarioRunner, client and server have the same version."""
+        """Raise `InputError` unless ScenarioRunner, client and server have the same version.
+
+        An unknown version of ScenarioRunner is not checked. CARLA 0.10 is always refused, as it has no ScenarioRunner.
+        """
         any_version = "; with `simulator` carla:any_version=true cornercase tries to run the scenario all the same."
         for version in (server, client):
             if version.split(".")[:2] == ["0", "10"]:

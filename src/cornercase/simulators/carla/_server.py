@@ -21,8 +21,8 @@ _MESH: Final = {
 class CarlaServer:
     """A CARLA server that no other program uses.
 
-    `patience`: time in s to wait for an answer. `any_version`: whether the server may have another version than the
-    client. `renders`: whether the server draws pictures.
+    `patience`: time in s to wait for an answer. `any_version`: whether server, client and ScenarioRunner may have
+    different versions. `renders`: whether the server draws pictures.
     """
 
     def __init__(
@@ -35,8 +35,9 @@ class CarlaServer:
     def connect(self, environment: RunnerEnvironment, *, has_answered: bool = False) -> None:
         """Start the client unless it runs, and connect it to the server.
 
-        Raises `InputError` if no server answers, or if the versions of server, client and ScenarioRunner differ. If the
-        server has answered shortly before (`has_answered`) and answers no longer, a `SimulatorError` is raised instead.
+        Raises `InputError` if no server answers, or, without `any_version`, if the versions of server, client and
+        ScenarioRunner differ. If the server has answered shortly before (`has_answered`) and answers no longer, a
+        `SimulatorError` is raised instead.
         """
         if self._client is not None:
             return

@@ -111,8 +111,9 @@ class Carla(Simulator):
     seed : int, default 0
         Seed of CARLA's traffic manager.
     undriven : bool, default False
-        Whether a scenario may run in which an entity has a driver that CARLA does not support. The storyboard alone
-        then moves this entity.
+        Whether a scenario may run in which an entity has a driver that CARLA does not support. If an agent drives
+        another entity, or the file names a driver for the ego, the storyboard alone then moves this entity. Otherwise
+        the entity moves along a trajectory of the builtin simulator, in which its driver drives it.
     open_loop : bool, default False
         Whether an entity that should react to an agent-driven entity may move along a trajectory of the builtin
         simulator instead, if ScenarioRunner cannot move it by the storyboard.
@@ -351,7 +352,8 @@ class Carla(Simulator):
             elif driver and not self._undriven and not is_driven:
                 raise InputError(
                     f"{scenario.path}: '{name}' has the driver '{driver}', which CARLA does not support; with"
-                    f" `simulator` carla:undriven=true the storyboard alone moves {name}."
+                    f" `simulator` carla:undriven=true {name} moves by the storyboard, or along a trajectory of the"
+                    " builtin simulator."
                 )
         return behaviors
 

@@ -141,7 +141,7 @@ def format_number(number: float) -> str:
 
 
 def make_condition(name: str, by_value: etree._Element) -> etree._Element:
-    """Create a ``ConditionGroup`` with a single condition, which compares a value."""
+    """Create a ``ConditionGroup`` with a single condition; `by_value` is the element in its ``ByValueCondition``."""
     return E.ConditionGroup(E.Condition(E.ByValueCondition(by_value), name=name, delay="0", conditionEdge="none"))
 
 

@@ -28,7 +28,7 @@ class HandlingStatus(StrEnum):
     EXECUTED = "executed"
     # Replaced by something equivalent.
     REWRITTEN = "rewritten"
-    # ScenarioRunner does something similar; entities that do not react to others move along a trajectory instead.
+    # ScenarioRunner does something similar; entities that do not react to an agent move along a trajectory instead.
     APPROXIMATE = "approximate"
     # ScenarioRunner cannot do it; the entity moves along a trajectory instead.
     SAMPLED = "sampled"

@@ -152,9 +152,10 @@ class EntityTracker:
         return recording_from_samples(source, tracks, collisions_until_end)
 
     def _select_frames_of_run(self) -> list[_TrackedFrame]:
-        """Return the frames of the run, from the start of the storyboard to the last frame with the ego.
+        """Return the frames of the run, from the start of the storyboard to its end.
 
-        Raises `SimulatorError` if a frame between these two is missing.
+        They end earlier if the ego is removed, or if the time step changes. Raises `SimulatorError` if a frame in
+        between is missing.
         """
         if self.first_frame is None or not self._ids:
             return []

@@ -76,7 +76,7 @@ class Trajectory:
     def to_properties(self, *, ends: bool) -> dict[str, str]:
         """Return the trajectory as properties of the controller `cornercase_trajectory.py`.
 
-        `ends`: whether the controller removes the entity at the end of the trajectory.
+        `ends`: whether the controller removes the entity at the time `end`, if there is one.
         """
         parts = [[[float(format_number(value)) for value in vertex] for vertex in part.tolist()] for part in self.parts]
         properties = {"parts": json.dumps(parts), "starts": json.dumps([round(start, 6) for start in self.starts])}

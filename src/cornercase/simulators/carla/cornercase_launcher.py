@@ -88,7 +88,7 @@ def _count_threads() -> int:
 
 
 def _can_fork(n_threads: int) -> bool:
-    """Return whether this process can fork safely: it has no threads but the `n_threads` of libraries.
+    """Return whether this process can fork safely: it has at most `n_threads` threads, its own and those of libraries.
 
     All other threads would be missing in the fork.
     """

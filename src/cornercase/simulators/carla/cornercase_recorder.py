@@ -179,7 +179,7 @@ class Tracker:
         return [], entities
 
     def _store_frame(self, snapshot: Any) -> None:
-        """Store the states of all actors in one time step; CARLA's client calls this in a thread of the client."""
+        """Store the states of recorded actors in one time step; CARLA's client calls this in a thread of the client."""
         poses = {}
         for actor in snapshot:
             # Until the entities are found, record all new actors.

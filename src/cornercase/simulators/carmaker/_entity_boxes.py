@@ -44,7 +44,8 @@ def find_entity_boxes(
 def describe_box_problems(scenario: ScenarioFile, testrun: TestRunFiles | None) -> list[str]:
     """Return sentences about entities whose boxes are missing or contradictory.
 
-    A box is missing if neither the scenario file nor the TestRun has it, and contradictory if the two differ.
+    A box is missing if neither the scenario file nor the TestRun has it, and contradictory if its length or width in
+    the two differs by more than 0.1 m.
     """
     boxes, stored = _read_boxes(scenario, {}), {} if testrun is None else testrun.boxes
     sentences = [

@@ -69,7 +69,8 @@ class CarMaker(Simulator):
     time_step : float, default 0.05
         Not used: CarMaker stores its results at its own rate.
     duration : float, default 60
-        Maximum simulated time in s.
+        Longest simulated time of a TestRun in s. It only sets the time limit of a run (see `speedup`); CarMaker does
+        not end the TestRun after this simulated time.
     on_collision : {"continue", "stop"}, default "continue"
         Whether a recording ends with its first collision. CarMaker itself goes on, unless the TestRun ends it.
     drivers : mapping, optional

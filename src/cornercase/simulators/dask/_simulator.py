@@ -65,8 +65,9 @@ class ClusterSimulator(RemoteSimulator):
     If workers offer a resource with the simulator's name (``--resources "carla=1"``), only these workers get scenarios,
     at most as many at a time as the amount of the resource. `cluster` is ``"local"`` for `workers` processes on this
     machine, a scheduler's address or file, or a client that stays open. If a worker is lost, its scenario is run again,
-    up to `retries` times. The run ends after `max_failures` consecutive scenarios that lost their workers (0: no
-    limit), and when the cluster has had no workers for `worker_timeout` s.
+    up to `retries` times; the scenarios of a batch are run again one by one, at least once. The run ends after
+    `max_failures` consecutive scenarios that lost their workers (0: no limit), and when the cluster has had no workers
+    for `worker_timeout` s.
     """
 
     def __init__(

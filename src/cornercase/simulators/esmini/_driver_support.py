@@ -52,7 +52,7 @@ def find_initial_trajectory_action(scenario: ScenarioFile, entity: str) -> etree
 
 
 def has_initial_speed(scenario: ScenarioFile, entity: str) -> bool:
-    """Return whether an initial action sets an entity's speed."""
+    """Return whether an entity has an initial longitudinal action, such as an action that sets its speed."""
     return next(_iter_initial_actions(scenario, entity, "LongitudinalAction"), None) is not None
 
 

@@ -61,7 +61,8 @@ class Esmini(Simulator):
     seed : int, default 0
         Seed of esmini.
     controllers : bool, default True
-        Whether esmini's controllers drive the entities that have one; otherwise all follow the storyboard.
+        Whether esmini's controllers drive the entities that have one; otherwise these entities follow the storyboard
+        or their driver.
     undriven : bool, default False
         Whether the drivers that the scenario file names for entities are left out.
     library : str, optional

@@ -37,9 +37,9 @@ class WorkerSimulator(RemoteSimulator):
 
     If the simulator is `batched`, each process gets an equal share of the scenarios as one batch, otherwise one
     scenario at a time. If the simulator crashes or hangs in a batch, the scenarios without a result are run again one
-    by one. `timeout` is in s per scenario; the start of the simulator may take a minute. A scenario that fails is run
-    again up to `retries` times, and at least once if its process was killed from outside. `max_failures` consecutive
-    failures end the run (0: no limit).
+    by one. `timeout` is in s per scenario; the start of the simulator may take a minute. A scenario in which the
+    simulator fails (crash, hang or `SimulatorError`) is run again up to `retries` times, and at least once if its
+    process was killed from outside. `max_failures` consecutive failures of this kind end the run (0: no limit).
     """
 
     def __init__(
