@@ -35,8 +35,8 @@ def write_note(study: Path | str, scenario: int, note: str) -> None:
     Raises
     ------
     InputError
-        There is no such study or scenario, the note is too long or cannot be stored as text, or the file cannot be
-        written.
+        There is no such study, there is no such scenario and the note is not empty, the note is too long or cannot be
+        stored as text, or the file cannot be written.
 
     Examples
     --------

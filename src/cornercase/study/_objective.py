@@ -23,8 +23,8 @@ class Objective:
     The objective is the first metric, a weighted sum of metrics, or (for a Pareto front) all metrics. `weights` maps a
     metric to its weight per unit of score; metrics without a weight do not count in the sum. `criterion` says when a
     scenario is critical; `criterion` is None without `threshold`, and for a Pareto front. Raises `InputError` if there
-    is no metric, or if a weight is not positive or belongs to an unknown metric. A Pareto front takes no weights, and
-    needs at least two metrics.
+    is no metric, or if a weight is not positive, is infinite, or belongs to an unknown metric. A Pareto front takes no
+    weights, and needs at least two metrics.
     """
 
     def __init__(

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 COURSE_POINTS: Final = 48
 """Number of points of the line that the page draws of a course; the replay has all points."""
 MAX_INSTANTS: Final = 100
-"""Number of instants to which a series of median length is downsampled at most."""
+"""Largest number of instants, besides the last one, to which a series of median length is downsampled."""
 N_STRIDE_RECORDINGS: Final = 32
 """Number of recordings, the first of a study, that decide the stride of the stored series."""
 

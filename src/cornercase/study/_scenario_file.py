@@ -29,10 +29,10 @@ def find_explored_scenario(
     machine explored it, then beside the study and in the current folder, up to two folders below each; the first file
     with the fingerprint of the study is returned.
 
-    With `search_stored_path`, the path that the study stores is searched first. Use this option only if the command
-    cannot do without the file: a study from somebody else may store any path. With `search_remembered_path`, the path
-    where this machine explored the file is searched. Turn this option off if the result shows the path, because the
-    path may reveal folders.
+    With `search_stored_path`, the path that the study stores is searched first, except for a suite. Use this option
+    only if the command cannot do without the file: a study from somebody else may store any path. With
+    `search_remembered_path`, the path where this machine explored the file is searched. Turn this option off if the
+    result shows the path, because the path may reveal folders.
     """
     meta = study.meta
     if meta.simulator == IMPORTED_SIMULATOR:

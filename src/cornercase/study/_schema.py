@@ -15,11 +15,11 @@ APPLICATION_ID: Final = 0x434F524E
 class StudyTable:
     """Definition of a table in a study file.
 
-    `columns` are all columns except those of checksums. If the table has a column of blobs (bytes), it is the last one.
-    The first `n_key_columns` columns identify a row; 0 means that SQLite's row number identifies a row. A blob has a
-    checksum of its own, so that the rest of a row can be read without the blob. `float_column` is the index of the
-    column of floats, if there is one. If `has_totals`, row count and XOR of checksums are stored in the table
-    ``tallies``. If `is_required`, every study has the table.
+    `columns` are all columns except those of checksums. The first `n_key_columns` columns identify a row; 0 means that
+    SQLite's row number identifies a row. If `has_blob`, the last column holds a blob (bytes) with a checksum of its
+    own, so that the rest of a row can be read without the blob. `float_column` is the index of the column of floats, if
+    there is one. If `has_totals`, row count and XOR of checksums are stored in the table ``tallies``. If `is_required`,
+    every study has the table.
     """
 
     create_statement: str

@@ -163,8 +163,9 @@ class StudyFile:
         Raises
         ------
         InputError
-            There is no such file, it is not a study of this schema version, it is damaged, or another process has it
-            open for writing.
+            There is no such file, it is not a study of this schema version, or its tables or its description are
+            damaged. If it is opened for writing, also: any page is damaged, the file cannot be written or has several
+            hard links, or another process has it open for writing.
         """
         database: Database | None = None
         try:
@@ -912,8 +913,8 @@ class StudyFile:
         Raises
         ------
         InputError
-            The study has no single score that a threshold could apply to, or the study is an estimate of probabilities,
-            which hold for the stored threshold only.
+            A condition, not a threshold, decides what is critical. Or the study has no single score that a threshold
+            could apply to. Or the study is an estimate of probabilities, which hold for the stored threshold only.
         """
         if critical is None:
             return self

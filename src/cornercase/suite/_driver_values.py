@@ -20,9 +20,9 @@ def assign_driver_values(
 ) -> SuiteContents:
     """Return the suite with `driver_values` set: the values in each scenario for parameters of this run's drivers.
 
-    If the scenario file itself names a driver, the values for this driver are in the file, and are not set here. A
-    notice names values for parameters that a driver of this run does not have. Raises `InputError` if the simulator
-    cannot pass parameters to drivers.
+    If the scenario file itself names a driver, the values for this driver are in the file, and are only set here if
+    `drivers` replaces the driver. A notice names values for parameters that a driver of this run does not have. Raises
+    `InputError` if the simulator cannot pass parameters to drivers.
     """
     made = {
         entity: driver_by_name(driver) if isinstance(driver, str) else driver

@@ -64,7 +64,8 @@ def judge(
     Raises
     ------
     InputError
-        The recording has no entity with the name `ego` or `other`.
+        The recording has no entity with the name `ego`. Or the requirement depends on other entities, and the recording
+        has none of those in `other`.
 
     Examples
     --------
@@ -144,7 +145,7 @@ def measure_margins(study: StudyFile, verdicts: Mapping[int, Sequence[Verdict]])
 
 
 def depends_on_reference(requirement: Requirement, recording: Recording, ego: str, others: Sequence[str]) -> bool:
-    """Return whether reference drivers have to be run to decide the verdict on a recording."""
+    """Return whether a recording alone leaves a verdict against any entity open, so that reference drivers are run."""
     evaluations = evaluate_run(requirement.expression.root, recording, ego, others).values()
     return any(evaluation.is_fulfilled() is None for evaluation in evaluations)
 

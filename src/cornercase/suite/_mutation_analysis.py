@@ -58,8 +58,8 @@ def analyze_mutants(
 ) -> KillMatrix:
     """Find which scenarios of a study kill which mutants of the ego's driver.
 
-    A mutant is a variant of the driver with a fault. A scenario kills a mutant if the mutant violates a requirement
-    that the original driver fulfills. If the study has more than 2,000 scenarios, 2,000 at equal intervals are run.
+    A mutant is a variant of the driver with a fault. A scenario kills a mutant if the mutant violates a requirement and
+    the original driver violates none. If the study has more than 2,000 scenarios, 2,000 at equal intervals are run.
 
     Parameters
     ----------

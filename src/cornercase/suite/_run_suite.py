@@ -113,8 +113,8 @@ def run_suite(
         raises `InputError`.
     mutants : int, optional
         Number of mutants (faulty variants) of the ego's driver. The builtin simulator runs the scenarios with each
-        mutant, to count how many mutants are killed. A scenario kills a mutant if the mutant violates a requirement
-        that the original driver fulfills. If there are no requirements, ``"no collision"`` is required. Runs of mutants
+        mutant, to count how many mutants are killed. A scenario kills a mutant if the mutant violates a requirement and
+        the original driver violates none. If there are no requirements, ``"no collision"`` is required. Runs of mutants
         are not stored.
     seed : int, default 0
         The same seed gives the same mutants; see `cornercase.drivers.generate_mutants`.

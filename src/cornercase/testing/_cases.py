@@ -63,7 +63,7 @@ class Cases:
         entity : str
             Entity that a system under test drives.
         count : int, default 4
-            Number of scenarios.
+            Number of scenarios; fewer if the constraints of the space exclude more than 7 of 8 points.
 
         Returns
         -------

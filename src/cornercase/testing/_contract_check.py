@@ -51,7 +51,7 @@ class CheckResult:
     name : str
         The property that was checked, as in `ContractCheck`.
     problem : str
-        Why the property does not hold, as a sentence; empty if no problem was found.
+        Why the property does not hold, or that the check was not run, as a sentence; empty if no problem was found.
     seconds : float
         Duration of the check.
     blocked_by : str, default ""

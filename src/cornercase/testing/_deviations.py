@@ -178,7 +178,7 @@ def _describe_different_entities(names: set[str], own: Recording) -> str:
 def _run_builtin(
     concrete: ConcreteScenario, boxes: Recording | None, drivers: Mapping[str, DriverLike] | None
 ) -> Recording:
-    """Run a scenario in the builtin simulator; if `boxes` is given, vehicles have the box sizes of this recording."""
+    """Run a scenario in the builtin simulator; if `boxes` is given, entities have the box sizes of this recording."""
     with TemporaryDirectory() as name:
         if boxes is not None:
             root = etree.parse(concrete.path).getroot()

@@ -1,9 +1,10 @@
 """Lock a damaged study until it has been replaced, and check that the file is still the one that was read.
 
-Nothing is written into the damaged file, not even a lease (the row that names the writing process): if the pages of the
-file are mixed up, writing could destroy the rest. Instead, SQLite's write lock is held: other processes need this lock
-to take a lease or to write a note. The lock ends with this process at the latest. Programs that copy or rename a file
-over the study need no lock, so the file is compared with its state when it was read.
+First SQLite's log is moved into the damaged file, if SQLite can read both. Nothing else is written into the file, not
+even a lease (the row that names the writing process): if the pages of the file are mixed up, writing could destroy the
+rest. Instead, SQLite's write lock is held: other processes need this lock to take a lease or to write a note. The lock
+ends with this process at the latest. Programs that copy or rename a file over the study need no lock, so the file is
+compared with its state when it was read.
 """
 
 from __future__ import annotations

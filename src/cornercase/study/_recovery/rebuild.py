@@ -47,8 +47,9 @@ class RecoveredStudy:
 def rebuild_study(damaged: Path, output: Path) -> RecoveredStudy:
     """Create a study at `output` from the intact rows of the study at `damaged`; the damaged file stays as it is.
 
-    Scenarios that have to be run again are pending (not run yet) in the new study. Raises `InputError` if the
-    description of the damaged study is lost.
+    Scenarios that have to be run again are pending (not run yet) in the new study; those whose row is lost are not in
+    the new study. Raises `InputError` if the description of the damaged study is lost, or if the damaged file has
+    several hard links.
     """
     require_single_hard_link(damaged)
     rows = recover_rows(damaged)
@@ -100,7 +101,8 @@ def _recover_checksum_totals(damaged: Path, rows_by_table: dict[str, RowsByKey])
     """Return row count and XOR of checksums of each table for which they are known.
 
     Both values are known if they were stored, or if all pages of the table are intact. In `rows_by_table`, the rows
-    that SQLite reads from an intact table replace the recovered rows, which may include deleted rows.
+    that SQLite reads from an intact table replace the recovered rows, which may include deleted rows, unless these rows
+    contradict the stored values.
     """
     tallies = {str(name): (int(rows), int(sums)) for name, rows, sums in rows_by_table["tallies"].values()}
     intact = set()
@@ -138,7 +140,7 @@ def _recover_rounds(rows_by_table: dict[str, RowsByKey], checksum_totals: dict[s
 def _reset_incomplete_scenarios(
     rows_by_table: dict[str, RowsByKey], meta: StudyMeta, rounds: dict[int, int]
 ) -> tuple[int, ...]:
-    """Make scenarios pending if a part of their results is lost; return their ids."""
+    """Make scenarios pending if a part of their results is lost; return ids of all scenarios that have to be run."""
     metrics: dict[str, dict[int, set[str]]] = {name: defaultdict(set) for name in _SCENARIO_TABLES}
     for name in _SCENARIO_TABLES:
         for stored in rows_by_table[name].values():

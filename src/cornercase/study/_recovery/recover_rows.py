@@ -105,7 +105,10 @@ def _iter_checked_rows(connection: sqlite3.Connection, table: str) -> Iterator[t
 def _iter_table_rows(
     connection: sqlite3.Connection, table: str, order_suffix: str = ""
 ) -> Iterator[tuple[int | None, Any]]:
-    """Yield number and values of each row of a table, sorted by key; the number is None for tables without numbers."""
+    """Yield number and values of each row of a table.
+
+    Rows of `_ROWID_TABLES` are sorted by number. Rows of other tables are sorted by key, and their number is None.
+    """
     numbered = table in _ROWID_TABLES
     keys = ("rowid",) if numbered else TABLES[table].columns[: TABLES[table].n_key_columns]
     columns = ", ".join(("rowid", *TABLES[table].stored_columns) if numbered else TABLES[table].stored_columns)

@@ -139,7 +139,10 @@ def _exceeds_tolerance(before: float, after: float, tolerance: float) -> bool:
 
 
 def _margin_tolerance(requirement: str, tolerances: Mapping[str, float]) -> float:
-    """Return the tolerance for the margin (robustness) of a requirement: the smallest tolerance of its metrics."""
+    """Return the tolerance for the margin (robustness) of a requirement.
+
+    This is the smallest tolerance of its metrics; what is not a compared metric has the default tolerance of its unit.
+    """
     units = Requirement.parse(requirement).expression.compared_units
     return min(tolerances[name] if name in tolerances else DEFAULT_TOLERANCES.get(unit, 0.0) for name, unit in units)
 

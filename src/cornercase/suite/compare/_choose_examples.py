@@ -68,7 +68,10 @@ def _distance_to_chosen(pair: ScenarioPair, chosen: Sequence[Example]) -> float:
 
 
 def _old_score_spreads(pairs: Sequence[ScenarioPair], metrics: Iterable[str]) -> dict[str, float]:
-    """Return the spread of the old scores by metric: half the range of the middle 90 %; if 0, the full range."""
+    """Return the spread of the old scores by metric: half the range of the middle 90 %; if 0, the full range.
+
+    If the full range is 0, too, or no score is finite, the spread is 1.
+    """
     both_ran = [pair for pair in pairs if pair.both_ran]
     spreads = {}
     for name in metrics if both_ran else ():

@@ -98,9 +98,10 @@ def compare(
     Raises
     ------
     InputError
-        The studies have different scenarios, parameters, entities, metrics or thresholds. Or no scenario ran in both,
-        and one study has fewer than 20 scenarios that were chosen independently of scores. Or the run of a suite is
-        incomplete. Or a tolerance is negative, or for a metric that is not compared.
+        The studies have different scenarios, parameters, entities, metrics or thresholds. Or they have no scenario in
+        common, except those that failed in both, and one study has fewer than 20 scenarios that were chosen
+        independently of scores. Or the run of a suite is incomplete. Or a tolerance is negative, or for a metric that
+        is neither compared nor used by the threshold or by a requirement of both studies.
 
     Examples
     --------
@@ -199,9 +200,10 @@ def _sole_criticality_metric(meta: StudyMeta, metrics: Sequence[str]) -> str:
 def _is_deterministic(meta: StudyMeta) -> bool:
     """Return whether the runs of a study are deterministic.
 
-    Runs are deterministic if a repeated run gave the same recording. If none was repeated, the simulator and all
-    drivers must be cornercase's own, and the simulator must be declared deterministic. Runs with random sensors do not
-    count as deterministic, although runs with the same seed are equal.
+    Runs are deterministic if a repeated run gave the same recording, unless the simulator is declared not
+    deterministic. If none was repeated, the simulator and all drivers must be cornercase's own, and the simulator must
+    be declared deterministic. Runs with random sensors do not count as deterministic, although runs with the same seed
+    are equal.
     """
     if meta.repeatability.get("random", False):
         return False

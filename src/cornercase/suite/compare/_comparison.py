@@ -57,7 +57,7 @@ class ScenarioPair:
     errors : tuple of (str or None, str or None)
         Why the scenario failed in each study; None if it did not fail.
     scores : mapping of str to tuple of (float, float)
-        Old and new score of each metric. If a run failed, this and all following attributes are empty or None.
+        Old and new score of each metric. If a run failed, this and all following attributes are empty, False or None.
     outcomes : tuple of (str, str)
         How the scenario ended, in words.
     collides : tuple of (bool, bool)
@@ -72,8 +72,8 @@ class ScenarioPair:
     criticality_scores : mapping of str to tuple of (float, float)
         Old and new score of each metric that decides whether the scenario is critical; empty without a threshold.
     faults : tuple of (str, str)
-        Who is at fault in the ego's first collision, such as ``"Ego at fault"``. Empty without a collision, or if
-        nobody's fault is known.
+        Who is at fault in the ego's first collision, such as ``"Ego at fault"`` or ``"fault undecided"``. Empty without
+        a collision, and in studies of early versions, which did not store faults.
 
     Examples
     --------
@@ -469,7 +469,8 @@ class Comparison:
     reason : str
         Reason for `changed`, in one sentence.
     verdict : {"better", "worse", "mixed", "the same", "cannot say"}
-        Verdict on the new version: mixed if some findings are worse and some better, the same if there are no findings.
+        Verdict on the new version: mixed if some findings are worse and some better. Without findings, ``"the same"``,
+        or ``"cannot say"`` if runs are not deterministic and there are too few scenarios for a significant test.
     verdict_reason : str
         Reason for the verdict.
     worse, better : tuple of Finding
