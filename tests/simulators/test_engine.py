@@ -577,3 +577,44 @@ def test_who_triggers_an_event_can_be_its_actor(tmp_path):
     (recording,) = ran(Builtin(), [ConcreteScenario(path)])
     speeds = dict(zip(recording.names, recording.speed[:, -1], strict=True))
     assert speeds == {"A": 15.0, "B": 9.9, "C": 1.0, "D": 15.0}
+
+
+@pytest.mark.parametrize("others", ["", by_entity('<TraveledDistanceCondition value="1"/>', "Lead")])
+def test_nobody_triggers_an_event_by_a_condition_that_was_never_evaluated(tmp_path, others):
+    """Of the first group, only the time is evaluated; the second one starts the event for `Lead`, if at all."""
+    never = time_trigger("100") + by_entity('<TraveledDistanceCondition value="1"/>', "Lead")
+    soon = time_trigger("0.5") + others
+    trigger = "".join(group.replace("</ConditionGroup><ConditionGroup>", "") for group in (never, soon))
+    story = story_of(event("e", speed_action("5"), trigger)).replace(
+        'selectTriggeringEntities="false"', 'selectTriggeringEntities="true"'
+    )
+    init = moving() + moving("100", entity="Lead")
+    path = scenario_file(tmp_path, init=init, story=story, entities=car("Ego") + car("Lead"))
+    for recording in ran(Builtin(duration=1.0), [ConcreteScenario(path), ConcreteScenario(path)]):
+        assert recording.speed[:, -1].tolist() == [5.0, 5.0 if others else 10.0]
+
+
+@pytest.mark.parametrize("outer_first", [True, False])
+def test_a_selection_may_contain_another_one(tmp_path, outer_first):
+    selections = [
+        f'<EntitySelection name="{name}"><Members>{members}</Members></EntitySelection>'
+        for name, members in (
+            ("outer", '<EntityRef entityRef="inner"/>'),
+            ("inner", '<EntityRef entityRef="A"/><EntityRef entityRef="B"/>'),
+        )
+    ]
+    entities = "".join([car("A"), car("B"), car("C"), *(selections if outer_first else selections[::-1])])
+    init = "".join(moving(str(10 + 60 * k), entity=name) for k, name in enumerate("ABC"))
+    story = story_of(event("e", speed_action("15"), time_trigger("0.5")), actor="outer")
+    recording = run(scenario_file(tmp_path, init=init, story=story, entities=entities), 1.0)
+    assert recording.speed[:, -1].tolist() == [15.0, 15.0, 10.0]
+
+
+def test_a_selection_that_contains_itself_is_refused(tmp_path):
+    selections = "".join(
+        f'<EntitySelection name="{name}"><Members><EntityRef entityRef="{member}"/></Members></EntitySelection>'
+        for name, member in (("near", "far"), ("far", "near"))
+    )
+    path = scenario_file(tmp_path, init=moving(), entities=car("Ego") + selections)
+    with pytest.raises(InputError, match=r"scenario\.xosc, line \d+: <EntitySelection>: 'near' contains itself, or"):
+        run(path)

@@ -104,7 +104,7 @@ class Batch:
         self._world = World(entities, scope.n_scenarios, network, tows, self._time_step, duration)
         self._world.values = self._values
         self._world.signal_controllers = read_signal_controllers(scenario.root, scope)
-        self._world.selections = _read_entity_selections(scenario.root, self._world, scope)
+        _read_entity_selections(scenario.root, self._world, scope)
         # A copied file names other paths.
         names = scope.parameter_values.keys() - scenario.path_parameters
         self._world.seeds = ScenarioSeeds(seeds, {name: scope.parameter_values[name] for name in names})
@@ -283,15 +283,29 @@ def _to_parameter_array(value: Any, n_scenarios: int) -> Any:
     return np.broadcast_to(array, (n_scenarios,)).copy()
 
 
-def _read_entity_selections(root: etree._Element, world: World, scope: Scope) -> dict[str, list[int]]:
-    """Return the indices of the entities in each entity selection, which lists entities or types of entities."""
-    selections: dict[str, list[int]] = {}
-    for selection in root.iterfind("Entities/EntitySelection"):
-        members = selection.find("Members")
-        if members is None:
-            continue
-        rows = read_entity_refs(members, scope, world)
-        for by_type in members.iterfind("ByType"):
-            rows += [k for k in world.entities_of_type(scope.read_text(by_type, "objectType")) if k not in rows]
-        selections[scope.read_text(selection, "name")] = rows
-    return selections
+def _read_entity_selections(root: etree._Element, world: World, scope: Scope) -> None:
+    """Store the entities in each entity selection, which lists entities, types of entities or other selections."""
+    waiting = {
+        scope.read_text(selection, "name"): members
+        for selection in root.iterfind("Entities/EntitySelection")
+        if (members := selection.find("Members")) is not None
+    }
+    while waiting:
+        unknown = waiting.keys() - {*world.names}
+        ready = {
+            name: members
+            for name, members in waiting.items()
+            if unknown.isdisjoint(scope.read_text(element, "entityRef") for element in members.iterfind("EntityRef"))
+        }
+        if not ready:
+            name, members = next(iter(waiting.items()))
+            raise scope.error_at(
+                members,
+                f"<EntitySelection>: '{name}' contains itself, or selections that contain themselves; name entities.",
+            )
+        for name, members in ready.items():
+            rows = read_entity_refs(members, scope, world)
+            for by_type in members.iterfind("ByType"):
+                rows += [k for k in world.entities_of_type(scope.read_text(by_type, "objectType")) if k not in rows]
+            world.selections[name] = rows
+            del waiting[name]

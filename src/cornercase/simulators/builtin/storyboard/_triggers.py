@@ -288,12 +288,12 @@ class EntityCondition:
     Compiled code may evaluate the condition in parts, the leaves; `leaf_values` (scenarios, leaves) has the results.
     """
 
-    def __init__(self, entities: list[int], requires_all: bool, test: EntityTest) -> None:
+    def __init__(self, entities: list[int], requires_all: bool, test: EntityTest, n_scenarios: int) -> None:
         self.entities = entities
         self.requires_all, self._test = requires_all, test
         self.leaf_values: BoolArray | None = None
         # By entity and scenario.
-        self._last_results = np.zeros((len(entities), 0), dtype=np.bool_)
+        self._last_results = np.zeros((len(entities), n_scenarios), dtype=np.bool_)
 
     @property
     def leaves(self) -> list[tuple[int, LeafCondition]] | None:
@@ -312,7 +312,7 @@ class EntityCondition:
         return np.asarray(results.all(axis=0) if self.requires_all else results.any(axis=0))
 
     def last_result_for(self, entity: int) -> BoolArray:
-        """Return the scenarios in which the condition was true for an entity at the last evaluation, as a mask."""
+        """Return a mask of the scenarios in which the condition was true for an entity at its last evaluation."""
         return np.asarray(self._last_results[self.entities.index(entity)])
 
 
@@ -347,7 +347,7 @@ def _read_triggering_entities(element: etree._Element, scope: Scope, world: Worl
     entities = read_entity_refs(holder, scope, world)
     if not entities:
         raise scope.error_at(holder, "<TriggeringEntities> names no entity.")
-    return EntityCondition(entities, require_all, test)
+    return EntityCondition(entities, require_all, test, scope.n_scenarios)
 
 
 def _simulation_time_condition(element: etree._Element, scope: Scope, world: World, storyboard: Storyboard) -> Test:
