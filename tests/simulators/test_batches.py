@@ -506,6 +506,32 @@ def test_a_change_that_takes_less_than_nothing_costs_its_scenario(tmp_path, acti
     assert ["is below 0" in one for one in words(path, {"p": -1.0}, {"p": 3.0})] == [True, False]
 
 
+LIMITS = """<DynamicConstraints maxSpeed="20" maxAcceleration="3" maxDeceleration="3" maxAccelerationRate="3"
+maxDecelerationRate="3"/>"""
+LIMITED = {
+    "speed profile": f"""<LongitudinalAction><SpeedProfileAction followingMode="follow">{LIMITS}
+<SpeedProfileEntry time="4" speed="20"/></SpeedProfileAction></LongitudinalAction>""",
+    "distance ahead": f"""<LongitudinalAction><LongitudinalDistanceAction entityRef="Lead" distance="20" continuous="true"
+freespace="false">{LIMITS}</LongitudinalDistanceAction></LongitudinalAction>""",
+    "distance beside": f"""<LateralAction><LateralDistanceAction entityRef="Lead" distance="1" continuous="true"
+freespace="false">{LIMITS}</LateralDistanceAction></LateralAction>""",
+}
+
+
+@pytest.mark.parametrize("action", LIMITED)
+@pytest.mark.parametrize("attribute", ["maxAcceleration", "maxAccelerationRate", "maxSpeed"])
+def test_a_limit_of_an_action_below_0_costs_its_scenario(tmp_path, action, attribute):
+    limited = re.sub(rf'{attribute}="\d+"', f'{attribute}="$p"', LIMITED[action])
+    path = scenario_file(
+        tmp_path, parameters=declared("p", "3"), entities=car("Ego") + car("Lead"),
+        init=private(teleport("5"), speed_action("10")) + private(teleport("60"), speed_action("10"), entity="Lead"),
+        story=story_of(event("e", f"<PrivateAction>{limited}</PrivateAction>", time_trigger("0.1"))),
+    )  # fmt: skip
+    below, *others = words(path, {"p": -1.0}, {"p": 0.0}, {"p": 3.0})
+    assert f"{attribute} of <DynamicConstraints> is below 0" in below
+    assert others == ["", ""]
+
+
 def test_a_rate_may_have_the_sign_of_the_change(tmp_path):
     action = speed_action("5", "linear", "rate", "-2")
     path = scenario_file(

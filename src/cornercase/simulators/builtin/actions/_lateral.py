@@ -12,7 +12,7 @@ from lxml import etree
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.scenario._scope import Scope
 from cornercase.simulators.builtin.actions._action import Action, CompiledAction
-from cornercase.simulators.builtin.actions._longitudinal import read_target, require_child
+from cornercase.simulators.builtin.actions._longitudinal import read_dynamic_limit, read_target, require_child
 from cornercase.simulators.builtin.kernels._action_table import DYNAMICS_SHAPES, LANE_CHANGE_ACTION, LANE_OFFSET_ACTION
 from cornercase.simulators.builtin.paths._positions import read_entity_index, shift_lane
 from cornercase.simulators.builtin.paths._transition_dynamics import (
@@ -154,11 +154,10 @@ class LateralDistanceAction(Action):
         self._target_distance = side * distance
         limits = element.find("DynamicConstraints")
         n = scope.n_scenarios
-        bounds = [
-            np.full(n, np.inf) if limits is None else scope.read_numbers(limits, name, np.inf)
+        self._max_acceleration, self._max_speed, self._max_jerk = (
+            read_dynamic_limit(limits, name, np.inf, scope)
             for name in ("maxAcceleration", "maxSpeed", "maxAccelerationRate")
-        ]
-        self._max_acceleration, self._max_speed, self._max_jerk = bounds
+        )
         self._speed, self._acceleration = np.zeros(n), np.zeros(n)
         self._is_first_frame = np.zeros(n, dtype=np.bool_)
 

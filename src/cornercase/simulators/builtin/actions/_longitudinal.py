@@ -163,10 +163,17 @@ def _read_limit(
     A missing limit means `vehicle_limit`. A limit of 0 means `default`, or `vehicle_limit` if that is smaller.
     """
     vehicle_limit = min(vehicle_limit, _UNLIMITED)
-    limit = (
-        np.full(scope.n_scenarios, vehicle_limit) if limits is None else scope.read_numbers(limits, name, vehicle_limit)
-    )
+    limit = read_dynamic_limit(limits, name, vehicle_limit, scope)
     return np.where(limit < _TINY, min(vehicle_limit, default), np.minimum(limit, vehicle_limit))
+
+
+def read_dynamic_limit(limits: etree._Element | None, name: str, default: float, scope: Scope) -> FloatArray:
+    """Read an attribute of ``DynamicConstraints`` for each scenario; a missing one is `default`."""
+    if limits is None:
+        return np.full(scope.n_scenarios, default)
+    limit = scope.read_numbers(limits, name, default)
+    scope.mark_invalid(limits, name, "is below 0", limit < 0.0)
+    return limit
 
 
 def require_child(element: etree._Element, tag: str, scope: Scope) -> etree._Element:

@@ -11,6 +11,7 @@ from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.scenario._batch_split import BatchSplitError
 from cornercase.scenario._scope import Scope
 from cornercase.simulators.builtin.actions._action import Action
+from cornercase.simulators.builtin.actions._longitudinal import read_dynamic_limit
 from cornercase.simulators.builtin.paths._positions import read_entity_index
 from cornercase.simulators.builtin.world._track_motion import heading_acceleration
 from cornercase.simulators.builtin.world._world import LONGITUDINAL, World
@@ -59,8 +60,7 @@ class SpeedProfileAction(Action):
         constraints = element.find("DynamicConstraints")
         names = ("maxSpeed", "maxAcceleration", "maxDeceleration", "maxAccelerationRate", "maxDecelerationRate")
         n, vehicle = scope.n_scenarios, world.entities[entity]
-        unlimited = np.full(n, np.inf)
-        bounds = [unlimited if constraints is None else scope.read_numbers(constraints, name, np.inf) for name in names]
+        bounds = [read_dynamic_limit(constraints, name, np.inf, scope) for name in names]
         of_vehicle = (vehicle.max_speed, vehicle.max_acceleration, vehicle.max_deceleration, np.inf, np.inf)
         self._limits = ProfileLimits(
             *(np.minimum(bound, limit) for bound, limit in zip(bounds, of_vehicle, strict=True))
