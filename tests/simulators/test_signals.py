@@ -132,3 +132,32 @@ def test_a_phase_that_cannot_be_costs_no_other_scenario(tmp_path):
     assert not isinstance(ran_, Exception)
     assert "duration of <Phase> is below 0" in str(below)
     assert "duration of <Phase> is 0, as are those of the other phases" in str(none)
+
+
+def test_a_controller_may_refer_to_one_that_comes_later(tmp_path):
+    controllers = [
+        f"""<TrafficSignalController name="{name}" delay="{delay}" reference="{reference}"><Phase name="red" duration="2">
+<TrafficSignalState trafficSignalId="{name}" state="red"/></Phase><Phase name="green" duration="1"><TrafficSignalState
+trafficSignalId="{name}" state="green"/></Phase></TrafficSignalController>"""
+        for name, delay, reference in (("a", 0.3, "b"), ("b", 0.5, "c"), ("c", 0.4, ""))
+    ]
+    story = story_of(event("go", speed_action("25"), by_value('<TrafficSignalCondition name="a" state="green"/>')))
+    path = scenario_file(tmp_path, init=moving(), story=story)
+    text = path.read_text()
+    recordings = []
+    for ordered in (controllers, controllers[::-1]):
+        signals = f"<TrafficSignals>{''.join(ordered)}</TrafficSignals></RoadNetwork>"
+        path.write_text(text.replace("</RoadNetwork>", signals, 1))
+        recordings.append(run(path, 5.0))
+    fast = recordings[0].time[recordings[0].speed[0] > 20]
+    # Green begins 2 s after the delays, and 3 s, a cycle, before that.
+    assert fast[0] == pytest.approx(2.0 + 0.3 + 0.5 + 0.4 - 3.0 + DT, abs=1.5 * DT)
+    assert same_recording(*recordings)
+
+
+def test_controllers_that_refer_to_each_other_are_refused(tmp_path):
+    path = scenario_file(tmp_path, init=moving())
+    controllers = SIGNALS.replace("$red", "2").replace('name="main"', 'name="main" reference="side"')
+    path.write_text(path.read_text().replace("</RoadNetwork>", controllers, 1))
+    with pytest.raises(InputError, match=r"line \d+: .* refer to each other \(main, side\); remove one reference"):
+        run(path)

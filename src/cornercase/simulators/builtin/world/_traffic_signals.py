@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -40,6 +40,11 @@ class SignalController:
         self._cycle_start = delay.copy()
         self._phase = np.full(len(delay), -1)
 
+    def postpone(self, time: FloatArray) -> None:
+        """Let the first cycle begin later by a time in s in each scenario, shape (N,)."""
+        self.delay = self.delay + time
+        self._cycle_start = self.delay.copy()
+
     def phase_at(self, time: FloatArray) -> IntArray:
         """Return the index of the phase at a time in s in each scenario, shape (N,)."""
         since = np.mod(time - self._cycle_start + _TINY, self._phase_ends[-1])
@@ -74,6 +79,7 @@ class SignalController:
 def read_signal_controllers(root: etree._Element, scope: Scope) -> dict[str, SignalController]:
     """Read the traffic signal controllers of a scenario from the root of its file; return them by name."""
     controllers: dict[str, SignalController] = {}
+    references: dict[str, tuple[etree._Element, str]] = {}
     for element in root.iterfind("RoadNetwork/TrafficSignals/TrafficSignalController"):
         name = scope.read_text(element, "name")
         phases = list(element.iterfind("Phase"))
@@ -96,7 +102,7 @@ def read_signal_controllers(root: etree._Element, scope: Scope) -> dict[str, Sig
             scope.mark_invalid(phases[0], "duration", "is 0, as are those of the other phases", is_instant)
         delay, other = scope.read_numbers(element, "delay", 0.0), scope.read_text(element, "reference", "")
         if other:
-            delay = delay + _require_signal_controller(element, other, scope, controllers).delay
+            references[name] = element, other
         states = [
             {
                 scope.read_text(signal_state, "trafficSignalId"): scope.read_text(signal_state, "state")
@@ -107,7 +113,29 @@ def read_signal_controllers(root: etree._Element, scope: Scope) -> dict[str, Sig
         controllers[name] = SignalController(
             [scope.read_text(phase, "name") for phase in phases], states, durations, delay
         )
+    _add_delays_of_references(controllers, references, scope)
     return controllers
+
+
+def _add_delays_of_references(
+    controllers: dict[str, SignalController], references: Mapping[str, tuple[etree._Element, str]], scope: Scope
+) -> None:
+    """Postpone each traffic signal controller by the delays of those to which it refers, directly or through others."""
+    settled = controllers.keys() - references.keys()
+    for name in references:
+        chain, following = list[str](), name
+        while following not in settled:
+            chain.append(following)
+            element, following = references[following]
+            _require_signal_controller(element, following, scope, controllers)
+            if following in chain:
+                names = ", ".join(chain[chain.index(following) :])
+                raise scope.error_at(
+                    element, f"<{element.tag}>: signal controllers refer to each other ({names}); remove one reference."
+                )
+        for name_in_chain in reversed(chain):
+            controllers[name_in_chain].postpone(controllers[references[name_in_chain][1]].delay)
+        settled.update(chain)
 
 
 def _require_signal_controller(
