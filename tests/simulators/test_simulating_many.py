@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 
 import cornercase as cc
+from conftest import EXAMPLES
 from cornercase.simulators import SIMULATORS, Builtin
 from cornercase.study import StudyFile
 from helpers.command_line import X, cornercase
@@ -221,3 +222,38 @@ def test_the_table_is_not_written_over(table, tmp_path):
         cc.simulate_many(X, runs, table=runs / "parameters.csv", **QUICK)
     noted = json.loads((runs / "simulation.json").read_text())
     assert noted["recordings"]["x_intersection-00002.csv"]["values"] == {"ego_start": "31.5", "p1_speed": "7"}
+
+
+def test_a_file_that_cannot_be_read_takes_the_name_of_its_recording_too(tmp_path):
+    shutil.copytree(X.parent, tmp_path / "x")
+    (tmp_path / "broken").mkdir()
+    broken = tmp_path / "broken" / X.name
+    broken.write_text(X.read_text().replace("Storyboard>", "Storyboar>"))
+    with pytest.raises(cc.InputError, match=r"has the same recording name as .*; rename one"):
+        cc.simulate_many([broken, tmp_path / "x" / X.name], tmp_path / "runs", **QUICK)
+    assert not (tmp_path / "runs").exists()
+
+
+def test_recordings_of_another_call_with_the_same_parameters_stay_in_the_table(tmp_path):
+    shutil.copytree(X.parent, tmp_path / "x")
+    scenarios, folder = [tmp_path / "x" / f"{name}.xosc" for name in "abcd"], tmp_path / "runs"
+    every_values: list[dict[str, float]] = [{"ego_start": 20}, {"ego_start": 30}, {"p1_speed": 7}, {"ego_start": 40}]
+    for scenario, values in zip(scenarios, every_values, strict=True):
+        shutil.copy(X, scenario)
+        cc.simulate_many(scenario, folder, values=values, **QUICK)
+    (folder / "a.csv").unlink()
+    cc.simulate_many(scenarios[3], folder, values=every_values[3], **QUICK)
+    with (folder / "parameters.csv").open(newline="") as file:
+        assert list(csv.reader(file)) == [
+            ["file", "scenario", "ego_start"], ["d.csv", "d.xosc", "40"], ["b.csv", "b.xosc", "30"],
+        ]  # fmt: skip
+    result = cc.import_recordings(folder, tmp_path / "i.db", ego="Ego", other="Pedestrian", metrics=["distance"])
+    assert result.done == 2
+
+
+def test_notes_that_do_not_describe_a_recording_are_refused(tmp_path):
+    cc.simulate_many(X, tmp_path / "runs", **QUICK)
+    notes = tmp_path / "runs" / "simulation.json"
+    notes.write_text(notes.read_text().replace('"values"', '"valeus"'))
+    with pytest.raises(cc.InputError, match=r"simulation\.json: does not describe"):
+        cc.simulate_many(EXAMPLES / "t_intersection" / "t_intersection.xosc", tmp_path / "runs", **QUICK)

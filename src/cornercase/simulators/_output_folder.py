@@ -79,9 +79,16 @@ class RecordingsFolder:
             temporary.write_text(format_json(notes) + "\n", encoding="utf-8")
 
     def write_table(self, files: Sequence[str]) -> None:
-        """Write a table of the parameter values of finished recordings."""
+        """Write a table of the parameter values of finished recordings, and of others that have the same parameters."""
         names = list(dict.fromkeys(name for file in files for name in self._planned[file]["values"]))
-        several = len({self._planned[file][_SCENARIO_KEY] for file in files}) > 1
+        # `import_recordings` reads no table with empty fields.
+        others = (
+            file
+            for file, notes in self._recordings.items()
+            if file not in self._planned and notes["values"].keys() == {*names}
+        )
+        files = [*files, *others]
+        several = len({self._recordings[file][_SCENARIO_KEY] for file in files}) > 1
         with (
             atomic_write(self._path / TABLE_FILE) as temporary,
             open(temporary, "w", newline="", encoding="utf-8") as opened,
@@ -89,7 +96,7 @@ class RecordingsFolder:
             writer = csv.writer(opened, lineterminator="\n")
             writer.writerow((FILE_COLUMN, *([_SCENARIO_KEY] if several else ()), *map(escape_csv_cell, names)))
             for file in files:
-                notes = self._planned[file]
+                notes = self._recordings[file]
                 cells = [notes["values"].get(name, "") for name in names]
                 writer.writerow(map(escape_csv_cell, (file, *([notes[_SCENARIO_KEY]] if several else ()), *cells)))
 
@@ -108,8 +115,10 @@ class RecordingsFolder:
         with suppress(ValueError, RecursionError):
             document = parse_json(content.decode())
         entries: dict[str, Any] = document if isinstance(document, dict) else {}
-        if entries.get("format") != _FORMAT or not all(
-            isinstance(entries.get(key), dict) for key in ("settings", "recordings")
+        if (
+            entries.get("format") != _FORMAT
+            or not all(isinstance(entries.get(key), dict) for key in ("settings", "recordings"))
+            or not all(map(_describes_recording, entries["recordings"].values()))
         ):
             raise InputError(f"{notes}: does not describe the recordings in its folder; choose another folder.")
         return entries
@@ -139,3 +148,13 @@ class RecordingsFolder:
                 f"`folder` {self._path}: contains recordings with another {', '.join(different)}{drivers}; choose"
                 " another folder."
             )
+
+
+def _describes_recording(entry: object) -> bool:
+    """Return whether an entry of the notes has what the table of parameter values takes from it."""
+    return (
+        isinstance(entry, dict)
+        and isinstance(entry.get(_SCENARIO_KEY), str)
+        and isinstance(entry.get("values"), dict)
+        and all(isinstance(value, str) for value in entry["values"].values())
+    )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, Unpack
@@ -103,8 +103,8 @@ def simulate_many(
 
     Each recording is written as soon as its scenario has ended. A second call only runs scenarios without a
     recording. Two more files are written: ``simulation.json`` describes each recording, and ``parameters.csv`` has the
-    parameter values of each scenario of this call that has a recording, so that `cornercase.study.import_recordings`
-    can read them.
+    parameter values of each recording of this call, and of earlier calls with the same parameters, so that
+    `cornercase.study.import_recordings` can read them.
 
     Parameters
     ----------
@@ -160,7 +160,8 @@ def simulate_many(
     """
     checked = check_options("simulate_many", SIMULATION_OPTIONS, options)
     inputs = scenarios if isinstance(scenarios, Sequence) and not isinstance(scenarios, str) else [scenarios]
-    scenario_files, failures = _read_scenario_files(inputs)
+    scenario_files, unreadable = _read_scenario_files(inputs)
+    failures = {_recording_file_name(path): reason for path, reason in unreadable.items()}
     folder = check_output_folder("folder", folder)
     if folder.suffix.lower() == _CSV_SUFFIX:
         raise InputError(
@@ -171,7 +172,7 @@ def simulate_many(
         scenario.require_declared(list(checked_values))
     seed = validation.check_int("seed", seed, 0)
     planned = (
-        _plan_from_files(scenario_files, checked_values, seed)
+        _plan_from_files(scenario_files, unreadable, checked_values, seed)
         if table is None
         else _plan_from_table(scenario_files, validation.check_path("table", table), checked_values, seed)
     )
@@ -227,8 +228,8 @@ def simulate_many(
     return SimulatedFolder(folder, len(done), len(output_folder.existing_files), failures)
 
 
-def _read_scenario_files(scenarios: Sequence[Path | str | ScenarioFile]) -> tuple[list[ScenarioFile], dict[str, str]]:
-    """Read scenario files; also return why some cannot be read, by recording name. Raises if none can be read."""
+def _read_scenario_files(scenarios: Sequence[Path | str | ScenarioFile]) -> tuple[list[ScenarioFile], dict[Path, str]]:
+    """Read scenario files; also return why some cannot be read, by path. Raises if none can be read."""
     readable, errors = list[ScenarioFile](), dict[Path, InputError]()
     for item in scenarios:
         try:
@@ -241,10 +242,7 @@ def _read_scenario_files(scenarios: Sequence[Path | str | ScenarioFile]) -> tupl
             errors[path] = error
     if errors and not readable:
         raise next(iter(errors.values()))
-    return readable, {
-        _recording_file_name(path): prefix_file(path, describe_file_error(path, error))
-        for path, error in errors.items()
-    }
+    return readable, {path: prefix_file(path, describe_file_error(path, error)) for path, error in errors.items()}
 
 
 def _recording_file_name(path: Path) -> str:
@@ -252,16 +250,19 @@ def _recording_file_name(path: Path) -> str:
 
 
 def _plan_from_files(
-    scenarios: Sequence[ScenarioFile], values: Mapping[str, Value], seed: int
+    scenarios: Sequence[ScenarioFile], unreadable: Collection[Path], values: Mapping[str, Value], seed: int
 ) -> list[PlannedRecording]:
-    """Plan one recording per scenario file, named after the file."""
+    """Plan one recording per scenario file, named after the file; unreadable files take a name, too."""
     if not scenarios:
         raise InputError("`scenarios`: name at least one OpenSCENARIO file.")
-    scenario_by_name: dict[str, ScenarioFile] = {}
-    for scenario in scenarios:
-        other = scenario_by_name.setdefault(make_portable_file_name(scenario.path.stem).casefold(), scenario)
-        if other is not scenario:
-            raise InputError(f"{scenario.path}: has the same recording name as {other.path}; rename one.")
+    first_by_name: dict[str, tuple[object, Path]] = {}
+    for source, path in (
+        *((scenario, scenario.path) for scenario in scenarios),
+        *((path, path) for path in unreadable),
+    ):
+        first, first_path = first_by_name.setdefault(_recording_file_name(path).casefold(), (source, path))
+        if first is not source:
+            raise InputError(f"{path}: has the same recording name as {first_path}; rename one.")
     return [
         PlannedRecording(_recording_file_name(scenario.path), ConcreteScenario(scenario.path, values, scenario, seed))
         for scenario in scenarios
