@@ -282,6 +282,17 @@ description="d"/><ParameterValueDistribution><ScenarioFile filepath="scenario.xo
     ran(Builtin(duration=1.0), [ConcreteScenario(logical.scenario_file.path, values)])
 
 
+def test_43_8_a_space_is_checked_as_it_is_read(tmp_path):
+    path, space = written(tmp_path), tmp_path / "space.xosc"
+    space.write_text("""<OpenSCENARIO xmlns="http://www.asam.net/x"><FileHeader revMajor="1" revMinor="2"
+date="2026-01-01T00:00:00" author="a" description="d"/><ParameterValueDistribution><ScenarioFile filepath="scenario.xosc"/>
+<Deterministic><DeterministicSingleParameterDistribution parameterName="speed"><DistributionRange stepWidth="1"><Range
+lowerLimit="5" upperLimit="9"/></DistributionRange></DeterministicSingleParameterDistribution></Deterministic>
+</ParameterValueDistribution></OpenSCENARIO>""")
+    assert check(path, space).schema_errors == ()
+    assert not check(path, space, strict=True).is_valid
+
+
 def test_43_8_strict_refuses_with_the_rule_and_exit_code_1(tmp_path):
     path = written(tmp_path, ('"boolean"', '"bool"'))
     assert checked(path).exit_code == 0

@@ -18,6 +18,7 @@ from cornercase._common.text.element_locations import prefix_file
 from cornercase.drivers._resolve import DriverLike, check_drivers, may_steer, resolve_driver
 from cornercase.scenario import ConcreteScenario, LogicalScenario, ParameterSpace
 from cornercase.scenario._file import ScenarioFile
+from cornercase.scenario._normalize import normalize_openscenario
 from cornercase.scenario._xml import read_xml
 from cornercase.simulators.builtin._ignored_content import collect_notices
 from cornercase.simulators.builtin._simulator import Builtin
@@ -48,8 +49,8 @@ class Check:
     schema : str or None
         Version of the schema used for validation; None if the schema is not installed.
     schema_errors : tuple of str
-        Schema violations of the file and of the space. Violations of the scenario file that are corrected when it is
-        read are listed only if `strict` was given.
+        Schema violations of the file and of the space. Violations that are corrected when a file is read are listed
+        only if `strict` was given.
     space : ParameterSpace or None
         The parameter space; None if no space was given, or the space cannot be used. Parameters of drivers are not
         checked, since a search may use other drivers than the file.
@@ -161,7 +162,10 @@ def check(
         own_drivers = {name: file.drivers.get(name) for name in file.entities}
     version, schema_violations = _validate_by_schema(file.parse_unnormalized() if strict else file.root)
     if space is not None:
-        _, space_violations = _validate_by_schema(read_xml(Path(space)))
+        space_root = read_xml(Path(space))
+        if not strict:
+            normalize_openscenario(space_root)
+        _, space_violations = _validate_by_schema(space_root)
         schema_violations += [f"{space}: {violation}" for violation in space_violations]
     notices = collect_notices(file, is_complete=not run_errors)
     if any(may_steer(driver) for driver in given.values()):
