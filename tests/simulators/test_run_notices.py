@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import re
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import cornercase as cc
-from conftest import EXAMPLES, car, event, scenario_file, speed_action, story_of, teleport, time_trigger
+from conftest import EXAMPLES, car, event, ran, scenario_file, speed_action, story_of, teleport, time_trigger
 from cornercase._common.errors import NoticeWarning
+from cornercase.roads._network import RoadNetwork
+from cornercase.scenario import ConcreteScenario
+from cornercase.simulators import Builtin
+from cornercase.simulators._run_notices import find_entities_far_from_roads
 from helpers.command_line import X, cornercase
 
 ROAD = EXAMPLES / "t_intersection" / "t_intersection.xodr"
@@ -214,3 +220,14 @@ def test_43_5_a_place_beyond_the_end_of_a_road_is_said_to_be_that_end(tmp_path, 
     said = [one for one in told(placed(tmp_path, x, -1.5)) if "Ego lies beyond the end of the nearest road" in one]
     assert len(said) == beyond
     assert all(re.search(r"\(scenario.xosc, line \d+: <TeleportAction> of <Init>\)", one) for one in said)
+
+
+def test_a_last_instant_just_below_a_whole_second_is_checked(tmp_path):
+    scenario = ConcreteScenario(placed(tmp_path, 250.0, 44.0))
+    (recording,) = ran(Builtin(time_step=0.1, duration=1.0), [scenario])
+    rounded = replace(recording, time=np.concatenate([[0.0], np.cumsum(np.full(10, 0.1))]))
+    assert rounded.time[-1] < 1.0
+    network = RoadNetwork.read(tmp_path / "road.xodr")
+    ((name, away, time),) = find_entities_far_from_roads(network, rounded)
+    assert (name, time) == ("Ego", 0.0)
+    assert away == pytest.approx(40.0, abs=0.1)

@@ -105,7 +105,9 @@ def find_entities_far_from_roads(network: RoadNetwork, recording: Recording) -> 
     if not indices or len(recording.time) == 0:
         return []
     first, last = recording.time[[0, -1]].tolist()
-    samples = np.unique(np.searchsorted(recording.time, np.arange(first, last + 1e-9, _SAMPLE_INTERVAL)))
+    # Rounding may put the last sample beyond the end.
+    instants = np.minimum(np.arange(first, last + 1e-9, _SAMPLE_INTERVAL), last)
+    samples = np.unique(np.searchsorted(recording.time, instants))
     x, y = (coordinates[indices][:, samples] for coordinates in (recording.x, recording.y))
     distances = network.distance_from_lanes(x.ravel(), y.ravel()).reshape(x.shape)
     result = []
