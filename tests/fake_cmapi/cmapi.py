@@ -116,7 +116,7 @@ class Condition:
         if self.state is ConditionSimState.finished and self.control.status is SimControlState.running:
             await self.control.run()
         if self.state is ConditionSimState.idle:
-            if WRONG == "restless":
+            if WRONG in ("restless", "hang on"):
                 await asyncio.sleep(60)
             self.control.status = SimControlState.configure
 
@@ -163,7 +163,7 @@ class SimControlInteractive:
         return Condition(self, state)
 
     async def run(self):
-        if WRONG == "hang":
+        if WRONG in ("hang", "hang on"):
             await asyncio.sleep(60)
         if WRONG != "no file":
             number = len(list((Project.loaded.path / "SimOutput").glob("*.erg")))

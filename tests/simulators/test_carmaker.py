@@ -21,6 +21,8 @@ from conftest import at_night, ran, same_recording
 from cornercase._common.errors import InputError, NoticeWarning, SimulationError, SimulatorError
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import CarMaker
+from cornercase.simulators._server_addresses import worker_address
+from cornercase.simulators._server_process import ServerProcess
 from cornercase.simulators.carmaker._cmapi_client import CmapiClient
 from cornercase.simulators.carmaker._licences import Licence
 from cornercase.simulators.carmaker._tcl_run import TclClient, TclTestRun
@@ -488,16 +490,21 @@ def test_ipgs_module_is_taken_where_it_is_there_and_starts_carmaker_once(cmapi, 
             "cmapi, the Python package of CarMaker, failed with RuntimeError: the application is gone",
         ),
         ("hang", SimulationError, "CarMaker did not end the TestRun within 2 s"),
+        (
+            "hang on",
+            SimulatorError,
+            "CarMaker did not end the TestRun within 2 s, and did not stop it within another 0.3 s",
+        ),
         ("no file", SimulationError, "CarMaker wrote 0 result files in SimOutput instead of one"),
     ],
 )
 def test_what_goes_wrong_by_ipgs_module_is_one_sentence(cmapi, project, wrong, kind, words):
     cmapi(wrong)
-    control = CmapiClient(project, "Crossing", 2.0)
+    control = CmapiClient(project, "Crossing", 2.0, end_timeout=0.3 if wrong == "hang on" else 5.0)
     with pytest.raises(kind) as caught:
         control.run_testrun("Crossing", {"ego_speed": 42.5})
     assert words in str(caught.value)
-    assert ("stopped" in (project / "said.txt").read_text()) == (wrong == "hang")
+    assert ("stopped" in (project / "said.txt").read_text()) == wrong.startswith("hang")
     control.close()
 
 
@@ -862,3 +869,33 @@ def test_a_carmaker_that_does_not_start_is_said_with_its_last_words(project):
     simulator = CarMaker(testrun="Crossing", project=str(project), via="port", port=free_port(), start=command)
     with pytest.raises(InputError, match="ended with exit code 3; its last words: no licence"):
         ran(simulator, [ConcreteScenario(project.parent / "s.xosc", {"ego_speed": 9.0})])
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="the program is a shell script")
+def test_a_server_whose_program_is_lost_costs_its_scenario_and_not_the_search(tmp_path):
+    program = tmp_path / "server"
+    program.write_text("#!/bin/sh\nexec sleep 60\n")
+    program.chmod(0o755)
+    server = ServerProcess(
+        "CARLA", f"{program} {{port}}", "localhost", 2000, lambda: server.is_running, start_timeout=60.0
+    )
+    assert server.start_if_needed()
+    server.stop()
+    program.unlink()
+    with pytest.raises(SimulatorError, match="CARLA cannot be started by"):
+        server.start_if_needed()
+    server.stop()
+
+
+@pytest.mark.parametrize(
+    ("hosts", "found"),
+    [("::1", ("::1", 9)), ("[::1]", ("::1", 9)), ("[::1]:3000", ("::1", 3000))],
+)
+def test_a_host_may_be_an_ipv6_address(hosts, found):
+    assert worker_address(hosts, 9, 0) == found
+
+
+@pytest.mark.parametrize("hosts", ["a:1:2", "[::1]:b", ":::1"])
+def test_what_only_looks_like_an_ipv6_address_is_refused(hosts):
+    with pytest.raises(InputError, match="is not a host; write it as host or host:port"):
+        worker_address(hosts, 9, 0)

@@ -68,11 +68,14 @@ class ServerProcess:
         self._n_scenarios += 1
         return is_new
 
+    @property
+    def _start_error(self) -> type[InputError | SimulatorError]:
+        return SimulatorError if self._n_starts else InputError
+
     def _start(self) -> None:
         """Start the server; if this fails, try once more, since the first failure may have been accidental."""
-        error_class = SimulatorError if self._n_starts else InputError
         if self._is_ready():
-            raise error_class(
+            raise self._start_error(
                 f"Another server answers on port {self._port} already; end that server, choose another port, or leave"
                 " out 'start' to use that server."
             )
@@ -81,7 +84,7 @@ class ServerProcess:
             if not problem:
                 break
             if attempt == _START_ATTEMPTS:
-                raise error_class(f"{self._name}, started by '{self._command}', {problem}.")
+                raise self._start_error(f"{self._name}, started by '{self._command}', {problem}.")
         self._n_starts, self._n_scenarios = self._n_starts + 1, 0
 
     def _try_to_start(self) -> str:
@@ -92,7 +95,7 @@ class ServerProcess:
                 split_command(self._command), stdin=subprocess.DEVNULL, stdout=self._log, stderr=subprocess.STDOUT
             )
         except (OSError, ValueError) as error:
-            raise InputError(f"{self._name} cannot be started by '{self._command}' ({error}).") from error
+            raise self._start_error(f"{self._name} cannot be started by '{self._command}' ({error}).") from error
         deadline = time.monotonic() + self._start_timeout
         while not self._is_ready():
             code = self._process.poll()

@@ -87,8 +87,8 @@ class Carla(Simulator):
     ego : str, default "Ego"
         Entity that becomes ScenarioRunner's ego vehicle.
     hosts : str, default "localhost"
-        Host on which CARLA listens, as ``host`` or ``host:port``. The workers use several hosts, separated by ``+``, in
-        turn.
+        Host on which CARLA listens, as ``host`` or ``host:port``; an IPv6 address as ``::1`` or ``[::1]:port``. The
+        workers use several hosts, separated by ``+``, in turn.
     port : int, default 2000
         Port of the first worker. Each further worker on the same host uses a port that is higher by 4.
     worker : int, default 0

@@ -146,7 +146,7 @@ class CmapiClient:
             message = f"CarMaker did not end the TestRun within {self._timeout:g} s"
             if await self._stop_run():
                 raise SimulationError(message) from None
-            raise SimulatorError(f"{message}, and could not stop it") from None
+            raise SimulatorError(f"{message}, and did not stop it within another {self._end_timeout:g} s") from None
         failed = False
         # Not all versions of the module report how a run ended.
         with suppress(AttributeError):

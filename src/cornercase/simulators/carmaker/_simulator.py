@@ -82,8 +82,8 @@ class CarMaker(Simulator):
         Folder of the CarMaker project with the result files. Several folders are separated by ``+``, and assigned to
         the workers in turn. With ``cmapi`` each worker needs a folder of its own.
     hosts : str, default "localhost"
-        Host on which ``CM.exe -cmdport`` runs, as ``host`` or ``host:port``. Several hosts are separated by ``+``, and
-        assigned to the workers in turn.
+        Host on which ``CM.exe -cmdport`` runs, as ``host`` or ``host:port``; an IPv6 address as ``::1`` or
+        ``[::1]:port``. Several hosts are separated by ``+``, and assigned to the workers in turn.
     port : int, default 16660
         Port of the first worker. Each further worker on the same host uses the next port, so that each worker has its
         own CarMaker.
