@@ -20,8 +20,9 @@ def free_space_to_entity_on_road(
 ) -> FloatArray:
     """Return the smallest difference in s (or in t if `lateral`) between the corners of two boxes, in m, shape (N,).
 
-    The difference is 0 if the boxes are side by side (one behind the other if `lateral`), and `default` if they are on
-    different roads. It is positive if the other entity is ahead, or to the left (seen along s) if `lateral`.
+    The difference is 0 if the boxes overlap, or if a corner of the own box is beside the other box (ahead of it or
+    behind it if `lateral`), and `default` if they are on different roads. It is positive if the other entity is ahead,
+    or to the left (seen along s) if `lateral`.
     """
     own_pose, other_pose = road_pose(world, entity), road_pose(world, other)
     if own_pose.road is None or other_pose.road is None:
@@ -35,7 +36,7 @@ def free_space_to_entity_on_road(
     differences = second[:, None, :] - first[:, :, None]
     if not lateral:
         differences *= _sign_along_road(world, own_pose)[:, None, None]
-    # Side by side: a corner of one box is between corners of the other.
+    # As in esmini, corners of the other box between those of the own box do not count.
     behind = differences < 0.0
     abreast = (behind.any(axis=2) & ~behind.all(axis=2)).any(axis=1)
     flat = differences.reshape(world.scenarios, -1)

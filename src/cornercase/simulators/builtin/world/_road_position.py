@@ -155,7 +155,7 @@ def is_opposite_direction(world: World, entity: int, pose: Pose) -> BoolArray:
 def has_drivable_lane_in_range(world: World, pose: Pose, first: int, last: int, opposite: bool) -> BoolArray:
     """Return in which scenarios a drivable lane is `first` to `last` lane numbers above the lane of a pose, (N,).
 
-    Lanes on the other side of the road count only if `opposite`.
+    As in esmini, the driving direction does not matter. Lanes on the other side of the road count only if `opposite`.
     """
     assert world.network is not None
     roads, lanes, s = pose.road_coordinates()
