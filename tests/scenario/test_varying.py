@@ -209,8 +209,9 @@ def test_43_12_the_space_has_units_types_and_steps(tmp_path: Path) -> None:
     ]
     logical = vary(path, ["Ego.initial.s=5:20:0.5"], tmp_path / "out.xosc")
     assert [one.step for one in logical.space.parameters] == [0.5]
-    with pytest.raises(InputError, match="Ego_initial_s has a step and Ego_initial_speed has none"):
-        vary(path, ["Ego.initial.s=5:20:0.5", "Ego.initial.speed=5:10"], tmp_path / "out.xosc")
+    for step in ("0.5", "1"):
+        with pytest.raises(InputError, match="Ego_initial_s has a step and Ego_initial_speed has none"):
+            vary(path, [f"Ego.initial.s=5:20:{step}", "Ego.initial.speed=5:10"], tmp_path / "out.xosc")
 
 
 def test_43_12_what_is_proposed_can_be_typed_at_the_end_of_a_road(tmp_path: Path) -> None:

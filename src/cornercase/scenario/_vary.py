@@ -271,7 +271,9 @@ def _create_parameter(variable: Variable, range_: str) -> Parameter:
     ):
         raise InputError(f"{where}: this number is an integer; use whole numbers.")
     step = 1.0 if variable.is_integer and given.step is None else given.step
-    parameter = replace(given, name=variable.parameter_name, step=step, unit=variable.unit)
+    parameter = replace(
+        given, name=variable.parameter_name, step=step, unit=variable.unit, is_integer=variable.is_integer
+    )
     if variable.allowed_lanes and (parameter.size or 0) <= _MAX_CHECKED_LANES:
         values = [round(parameter.low + k * float(step or 1.0)) for k in range(parameter.size or 0)]
         absent = [number for number in values if number not in variable.allowed_lanes]
@@ -288,7 +290,9 @@ def _harmonize_steps(parameters: Sequence[Parameter]) -> list[Parameter]:
     Raises `InputError` if some ranges have no step and others have another step.
     """
     with_steps = [
-        parameter for parameter in parameters if parameter.step is not None and not _has_integer_steps(parameter)
+        parameter
+        for parameter in parameters
+        if parameter.step is not None and not (parameter.is_integer and parameter.step == 1.0)
     ]
     without = [parameter for parameter in parameters if parameter.step is None]
     if with_steps and without:
@@ -299,11 +303,6 @@ def _harmonize_steps(parameters: Sequence[Parameter]) -> list[Parameter]:
     if without:
         return [replace(parameter, step=None) for parameter in parameters]
     return list(parameters)
-
-
-def _has_integer_steps(parameter: Parameter) -> bool:
-    """Return whether a range starts at an integer and has steps of 1."""
-    return parameter.step == 1.0 and parameter.low == round(parameter.low)
 
 
 def _insert_declarations(
