@@ -72,6 +72,50 @@ def test_catalogs_of_two_folders_of_one_name_are_both_written(tmp_path):
     assert simulate(tmp_path / "out" / "scenario.xosc", duration=0.1).length == [3.0]
 
 
+def test_catalog_folders_whose_names_look_numbered_are_all_written(tmp_path):
+    folders = ("x/a", "y/a-3", "z/a")
+    for length, folder in enumerate(folders, start=3):
+        catalog(tmp_path / folder, "cars", f"Cars{length}", ("small", length))
+    path = from_catalogs(tmp_path, *folders, name="Cars5")
+    write_concrete_file(ScenarioFile.read(path), {}, tmp_path / "out" / "scenario.xosc")
+    assert simulate(tmp_path / "out" / "scenario.xosc", duration=0.1).length == [5.0]
+
+
+def declared(path, **values):
+    """Declare parameters in a scenario; a tuple of values declares one several times."""
+    pairs = [(name, one) for name, given in values.items() for one in ([given] if isinstance(given, str) else given)]
+    inner = "".join(f'<ParameterDeclaration name="{a}" parameterType="string" value="{b}"/>' for a, b in pairs)
+    path.write_text(path.read_text().replace("<ParameterDeclarations>", f"<ParameterDeclarations>{inner}"))
+    return path
+
+
+def test_a_catalog_folder_that_two_locations_name_by_one_parameter_is_written(tmp_path):
+    catalog(tmp_path / "cars", "cars", "Cars", ("small", 3))
+    path = declared(from_catalogs(tmp_path, "$folder", "$folder"), folder="cars")
+    write_concrete_file(ScenarioFile.read(path), {}, tmp_path / "out" / "scenario.xosc")
+    assert simulate(tmp_path / "out" / "scenario.xosc", duration=0.1).length == [3.0]
+
+
+@pytest.mark.parametrize(
+    ("reference", "values"),
+    [
+        ("$road", {"map": "road.xodr", "road": "$map"}),
+        ("${$road}", {"road": "road.xodr"}),
+        ("$road", {"road": ("missing.xodr", "road.xodr")}),
+    ],
+    ids=["by_two_parameters", "by_expression", "declared_twice"],
+)
+@pytest.mark.filterwarnings("ignore::cornercase.NoticeWarning")
+def test_a_road_that_a_parameter_names_is_written_and_belongs_to_the_scenario(tmp_path, reference, values):
+    path = scenario_file(tmp_path, init=f'<Private entityRef="Ego">{teleport("5")}</Private>')
+    path.write_text(path.read_text().replace('filepath="road.xodr"', f'filepath="{reference}"'))
+    scenario = ScenarioFile.read(declared(path, **values))
+    assert tmp_path / "road.xodr" in scenario.all_paths()
+    write_concrete_file(scenario, {}, tmp_path / "out" / "scenario.xosc")
+    written = simulate(tmp_path / "out" / "scenario.xosc", duration=0.1)
+    assert (written.x == simulate(path, duration=0.1).x).all()
+
+
 def with_roads_by_parameter(folder):
     path = scenario_file(
         folder,

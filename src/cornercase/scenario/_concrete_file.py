@@ -6,6 +6,7 @@ import io
 from collections.abc import Iterator, Mapping
 from copy import deepcopy
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from typing import Final
 
@@ -83,32 +84,42 @@ def build_concrete_file(
         _remove_initial_controllers(root, name)
     buffer = io.BytesIO()
     profiles = ((file, file.name, "Profiles") for file in scenario.profiles_files)
-    companions = (*_relocate_road_file(scenario, root), *_relocate_catalogs(scenario, root), *profiles)
+    companions = (*_relocate_road_file(scenario, root, values), *_relocate_catalogs(scenario, root, values), *profiles)
     etree.ElementTree(root).write(buffer, encoding="utf-8", xml_declaration=True, pretty_print=True)
     return ConcreteFile(buffer.getvalue(), companions)
 
 
-def _relocate_road_file(scenario: ScenarioFile, root: etree._Element) -> Iterator[tuple[Path, str, str]]:
+def _relocate_road_file(
+    scenario: ScenarioFile, root: etree._Element, values: Mapping[str, Value]
+) -> Iterator[tuple[Path, str, str]]:
     """Change the path of the road file to its bare file name, and yield the item for `ConcreteFile.companions`."""
     logic_file = root.find("RoadNetwork/LogicFile")
     if logic_file is not None and logic_file.get("filepath"):
         holder, attribute = _find_path_attribute(root, logic_file, "filepath")
-        source = scenario.existing_road_path(holder.get(attribute, ""))
+        source = scenario.existing_road_path(scenario.road_reference_for(values))
         holder.set(attribute, source.name)
         yield source, source.name, "OpenDRIVE"
 
 
-def _relocate_catalogs(scenario: ScenarioFile, root: etree._Element) -> Iterator[tuple[Path, str, str]]:
+def _relocate_catalogs(
+    scenario: ScenarioFile, root: etree._Element, values: Mapping[str, Value]
+) -> Iterator[tuple[Path, str, str]]:
     """Change catalog locations to subfolders of ``catalogs``; yield an item for `ConcreteFile.companions` per file."""
     folders: dict[str, Path] = {}
+    changed: set[etree._Element] = set()
     for directory in root.iterfind("CatalogLocations//Directory"):
         holder, attribute = _find_path_attribute(root, directory, "path")
-        folder = scenario.resolve_path(holder.get(attribute, ""), "catalog location")
+        if holder in changed:
+            continue
+        changed.add(holder)
+        reference = scenario.replace_parameter(directory.get("path", ""), values)
+        folder = scenario.resolve_path(reference, "catalog location")
         # ".." is a folder name, too.
         name = base = make_portable_file_name(folder.stem if folder.is_file() else folder.name)
         # Folders may have the same name.
+        suffixes = count(len(folders) + 1)
         while folders.setdefault(name, folder) != folder:
-            name = f"{base}-{len(folders) + 1}"
+            name = f"{base}-{next(suffixes)}"
         # openPASS writes files as catalog locations.
         catalog_files = scenario.catalog_files()
         for file in (
@@ -124,10 +135,11 @@ def _find_path_attribute(root: etree._Element, element: etree._Element, attribut
     """Return the element and the attribute that hold a path.
 
     These are `element` and `attribute`. If the attribute refers to a parameter, they are the declaration of this
-    parameter, and ``value``.
+    parameter, and ``value``. If it is declared several times, the last declaration counts.
     """
     text = element.get(attribute, "")
-    for declaration in root.iterfind("ParameterDeclarations/ParameterDeclaration"):
+    declarations = root.findall("ParameterDeclarations/ParameterDeclaration")
+    for declaration in reversed(declarations):
         if text == f"${declaration.get('name')}":
             return declaration, "value"
     return element, attribute

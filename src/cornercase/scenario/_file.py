@@ -364,7 +364,7 @@ class ScenarioFile:
         files: list[Path] = []
         for directory in self._unchecked_root.iterfind("CatalogLocations//Directory"):
             with add_location_to_input_errors(directory, str(self.path)):
-                folder = self.resolve_path(self._replace_parameter(directory.get("path", ""), {}), "catalog location")
+                folder = self.resolve_path(self.replace_parameter(directory.get("path", ""), {}), "catalog location")
             candidates = self._list_catalogs(folder) if folder.is_dir() else [folder]
             files += [file for file in candidates if file.is_file() and file not in files]
         return files
@@ -400,7 +400,7 @@ class ScenarioFile:
 
         The value is that of `values`, or else the declared value. The text is empty if no road file is named.
         """
-        return self._replace_parameter(self.road_file_as_written(), values or {})
+        return self.replace_parameter(self.road_file_as_written(), values or {})
 
     def road_path(self, reference: str) -> Path:
         """Return the path of a road file that is written as `reference` in the scenario.
@@ -497,13 +497,17 @@ class ScenarioFile:
                 digest.update(self._files.sha256(file))
         return digest.hexdigest()
 
-    def _replace_parameter(self, text: str, values: Mapping[str, Value]) -> str:
-        for name in parameter_names_in(text):
-            if name in values:
-                return str(values[name])
-            for e in self._unchecked_root.iterfind("ParameterDeclarations/ParameterDeclaration"):
-                if e.get("name") == name:
-                    return e.get("value", "")
+    def replace_parameter(self, text: str, values: Mapping[str, Value]) -> str:
+        """Return the text of an attribute, or the value of the parameter that it refers to, directly or indirectly.
+
+        The value is that of `values`, or else the declared value.
+        """
+        if not parameter_names_in(text):
+            return text
+        declared = self._unchecked_root.iterfind("ParameterDeclarations/ParameterDeclaration")
+        remaining: dict[str, Value] = {e.get("name", ""): e.get("value", "") for e in declared} | dict(values)
+        while names := parameter_names_in(text) & remaining.keys():
+            text = str(remaining.pop(min(names)))
         return text
 
 
