@@ -411,11 +411,12 @@ def test_a_parcel_has_all_files_wherever_they_lie(tmp_path):
     assert road.read_bytes() == X.with_suffix(".xodr").read_bytes()
 
 
-def test_a_file_that_other_machines_do_not_have_is_refused(tmp_path):
-    road = tmp_path / "elsewhere" / "x.xodr"
-    road.parent.mkdir()
+@pytest.mark.parametrize("folder", ["elsewhere", "scenarios/roads"])
+def test_a_file_that_other_machines_do_not_have_is_refused(tmp_path, folder):
+    road = tmp_path / folder / "x.xodr"
+    road.parent.mkdir(parents=True)
     road.write_bytes(X.with_suffix(".xodr").read_bytes())
-    (tmp_path / "scenarios").mkdir()
+    (tmp_path / "scenarios").mkdir(exist_ok=True)
     file = tmp_path / "scenarios" / "x.xosc"
     file.write_text(X.read_text().replace("x_intersection.xodr", road.as_posix()))
     with pytest.raises(InputError, match=r"names .*x\.xodr by an absolute path"):

@@ -32,8 +32,13 @@ class ScenarioBundle:
         contents = {
             scenario.road_path_without_map_folders(file): content for file, content in scenario.read_all_files().items()
         }
+        absolute_paths = [
+            scenario.resolve_path(reference, "file")
+            for reference in scenario.file_references()
+            if Path(reference.replace("\\", "/")).anchor
+        ]
         for file in contents:
-            if not _is_named_relative_to(file, scenario.path.parent):
+            if any(file.is_relative_to(path) for path in absolute_paths):
                 raise InputError(
                     f"{scenario.path}: names {file} by an absolute path, but other machines have no such path;"
                     " write the path relative to the scenario file."
@@ -72,10 +77,6 @@ class ScenarioBundle:
                     f"{target}: cannot be written ({error.strerror}); free some disk space or change the permissions."
                 ) from error
         return ScenarioFile(folder / self.scenario_path, self.fingerprint, self.varied_roads)
-
-
-def _is_named_relative_to(file: Path, folder: Path) -> bool:
-    return file.parts[: len(folder.parts)] == folder.parts and (folder.is_absolute() or not file.is_absolute())
 
 
 def _relative_posix_path(folder: str, path: str) -> str:

@@ -497,6 +497,12 @@ class ScenarioFile:
                 digest.update(self._files.sha256(file))
         return digest.hexdigest()
 
+    def file_references(self) -> tuple[str, ...]:
+        """Return the texts by which the scenario names its road files and catalog folders, with parameters replaced."""
+        directories = self._unchecked_root.iterfind("CatalogLocations//Directory")
+        folders = (self.replace_parameter(directory.get("path", ""), {}) for directory in directories)
+        return (self.road_reference_for(), *self._varied_roads, *folders)
+
     def replace_parameter(self, text: str, values: Mapping[str, Value]) -> str:
         """Return the text of an attribute, or the value of the parameter that it refers to, directly or indirectly.
 
@@ -505,7 +511,7 @@ class ScenarioFile:
         if not parameter_names_in(text):
             return text
         declared = self._unchecked_root.iterfind("ParameterDeclarations/ParameterDeclaration")
-        remaining: dict[str, Value] = {e.get("name", ""): e.get("value", "") for e in declared} | dict(values)
+        remaining: dict[str, Value] = {**{e.get("name", ""): e.get("value", "") for e in declared}, **values}
         while names := parameter_names_in(text) & remaining.keys():
             text = str(remaining.pop(min(names)))
         return text
