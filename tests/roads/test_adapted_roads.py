@@ -243,6 +243,15 @@ def test_43_8_sections_of_one_side_may_begin_together(tmp_path):
     assert sorted(network.roads[0].sections[0][1]) == [-1, 1]
 
 
+def test_a_road_whose_only_section_has_no_side_is_left_out(tmp_path):
+    section = f'<laneSection s="0" singleSide="true">{CENTER}</laneSection>'
+    sound = road("2", 100.0, at=(0.0, 50.0, 0.0), right=lane(-1))
+    network, notices = read(write(tmp_path, road("1", 100.0, sections=section), sound))
+    assert [one.road_id for one in network.roads] == ["2"]
+    (notice,) = notices
+    assert notice.startswith("road 1 (road.xodr, line 1): is left out: <laneSection> has singleSide, but neither")
+
+
 @pytest.mark.parametrize(
     ("number", "said"), [(0, "the lane 0 belongs in <center>"), (1, "lanes on the right have numbers below 0")]
 )

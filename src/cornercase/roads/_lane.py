@@ -115,7 +115,11 @@ def read_lane_sections(
                     note_adaptation(element, subject, reason, "each begins after the one before")
                 side_sections.append(_SideSection(start, _read_lanes(element, side, location)))
     starts = sorted({section.start for side_sections in sides.values() for section in side_sections})
-    if starts and abs(starts[0]) > _MAX_FIRST_START:
+    if not starts:
+        raise InputError(
+            f"{location}: <laneSection> has singleSide, but neither <left> nor <right>; give it one of them."
+        )
+    if abs(starts[0]) > _MAX_FIRST_START:
         raise InputError(f"{location}: the first <laneSection> begins at s = {starts[0]:g} m; it must begin at 0.")
     starts = sorted({*starts, *(cut for cut in forced_starts if starts[0] < cut < length)})
     for start, end in zip(starts, [*starts[1:], length], strict=True):
