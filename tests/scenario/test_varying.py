@@ -198,6 +198,16 @@ def test_43_12_files_are_written_as_they_came(tmp_path: Path, declarations: str,
     assert simulate(tmp_path / "out.xosc", duration=1).x[0, 0] == simulate(path, duration=1).x[0, 0]
 
 
+def test_a_file_whose_declaration_names_another_encoding_keeps_its_characters(tmp_path: Path) -> None:
+    path = written(tmp_path)
+    text = f'<?xml version="1.0" encoding="UTF-8"?>\n<!-- Überholen -->{path.read_text()}'
+    path.write_bytes(text.encode("cp1252"))
+    vary(path, ["Ego.initial.s=5:20"], tmp_path / "out.xosc")
+    after = (tmp_path / "out.xosc").read_bytes().decode("cp1252")
+    assert "<!-- Überholen -->" in after
+    assert 's="$Ego_initial_s"' in after
+
+
 def test_43_12_the_space_has_units_types_and_steps(tmp_path: Path) -> None:
     path = written(tmp_path)
     lanes = EXAMPLES / "r157" / "motorway.xodr"
@@ -244,6 +254,22 @@ def test_43_12_lanes_are_whole_numbers_of_lanes_that_are_there(tmp_path: Path) -
         vary(path, ["Ego.initial.lane=-9:-1"], tmp_path / "out.xosc")
     with pytest.raises(InputError, match="use whole numbers"):
         vary(path, ["Ego.initial.lane=-2:-1:0.5"], tmp_path / "out.xosc")
+
+
+def test_lanes_go_on_beside_a_section_of_one_side_and_roadworks(tmp_path: Path) -> None:
+    def lanes(side: str, *numbers: int) -> str:
+        return f"<{side}>" + "".join(f'<lane id="{number}" type="driving"/>' for number in numbers) + f"</{side}>"
+
+    path = written(tmp_path, init=moving("60"))
+    sections = (
+        f'<lanes><laneSection s="0">{lanes("left", 1)}{lanes("right", -1, -2)}</laneSection>'
+        f'<laneSection s="50" singleSide="true">{lanes("left", 2, 1)}</laneSection></lanes>'
+        f'<lanes layer="temporary"><laneSection s="0">{lanes("right", -1)}</laneSection></lanes>'
+    )
+    road = tmp_path / "road.xodr"
+    road.write_text(re.sub("<lanes>.*</lanes>", sections, road.read_text(), flags=re.DOTALL))
+    path.write_text(path.read_text().replace('laneId="1"', 'laneId="-1"'))
+    assert listed(path)["Ego.initial.lane"].allowed_lanes == {-2, -1, 1, 2}
 
 
 @pytest.mark.parametrize(

@@ -83,9 +83,21 @@ def read_road_extents(path: Path | None) -> dict[str, RoadExtent]:
 
 
 def _read_road_extent(road: etree._Element) -> RoadExtent:
-    sections = []
-    for section in road.iterfind("lanes/laneSection"):
-        lanes = {int(lane.get("id", "")): lane.get("type", "") for lane in section.iterfind("*/lane")}
-        lanes.pop(0, None)
-        sections.append((float(section.get("s", "")), lanes))
-    return RoadExtent(float(road.get("length", "")), tuple(sorted(sections, key=lambda section: section[0])))
+    elements = [
+        section
+        for lanes in road.iterfind("lanes")
+        if lanes.get("layer", "permanent") == "permanent"
+        for section in lanes.iterfind("laneSection")
+    ]
+    sections: list[tuple[float, dict[int, str]]] = []
+    sides: dict[str, dict[int, str]] = {"left": {}, "right": {}}
+    for start, element in sorted(((float(e.get("s", "")), e) for e in elements), key=lambda pair: pair[0]):
+        # On the other side of the road, the lanes of a section with one side go on.
+        single = element.get("singleSide") in ("true", "1")
+        for side in sides:
+            if not single or element.find(side) is not None:
+                sides[side] = {
+                    int(lane.get("id", "")): lane.get("type", "") for lane in element.iterfind(f"{side}/lane")
+                }
+        sections.append((start, sides["left"] | sides["right"]))
+    return RoadExtent(float(road.get("length", "")), tuple(sections))

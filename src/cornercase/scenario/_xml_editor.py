@@ -24,7 +24,12 @@ class XmlEditor:
     def __init__(self, content: bytes, path: Path) -> None:
         info = parse_xml(content, path).getroottree().docinfo
         self._encoding = info.encoding or "utf-8"
-        self._text = content.decode(self._encoding)
+        try:
+            self._text = content.decode(self._encoding)
+        except UnicodeDecodeError:
+            # As `parse_xml` reads it.
+            self._encoding = "cp1252"
+            self._text = content.decode(self._encoding, errors="replace")
         self._starts: list[re.Match[str]] = []
         self._ends: dict[int, re.Match[str]] = {}
         self._edits: list[tuple[int, int, str]] = []
