@@ -9,6 +9,7 @@ import pytest
 
 from conftest import scenario_file, speed_action, teleport
 from cornercase import simulate
+from cornercase.roads._network import RoadNetwork
 
 LANE = (
     '<lanes><laneSection s="0"><center><lane id="0" type="none"/></center><right><lane id="-1" type="driving">'
@@ -70,3 +71,16 @@ def test_43_8_a_jump_aside_neither_turns_nor_delays(tmp_path, aside):
     expected = 5.0 + 10.0 * recording.time
     assert np.abs(recording.x[0] - expected)[1:].max() < 0.08
     assert np.ptp(recording.y[0]) == pytest.approx(aside, abs=1e-6)
+
+
+@pytest.mark.parametrize("at", [50.0, 30.05, 61.7])
+def test_a_jump_aside_is_no_part_of_the_length_in_either_direction(tmp_path, at):
+    two = line(0, 0, 0, at) + line(at, at, 1, 100 - at)
+    road = f'<road id="1" length="100" junction="-1"><planView>{two}</planView>{LANE}</road>'
+    path = tmp_path / "road.xodr"
+    path.write_text(f'<OpenDRIVE><header revMajor="1" revMinor="6"/>{road}</OpenDRIVE>', encoding="utf-8")
+    network = RoadNetwork.read(path)
+    for forward in (True, False):
+        lane_path = network.lane_path_from(0, -1, 10.0, forward)
+        assert lane_path is not None
+        assert lane_path.distance[-1] == pytest.approx(100.0, abs=1e-6)

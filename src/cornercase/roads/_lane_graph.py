@@ -127,7 +127,7 @@ class LaneGraph:
             x[order], y[order], s[order], np.full(n, lane.road), np.full(n, lane.lane), np.full(n, lane.forward),
             np.full(n, goals_passed), np.abs(s - begin)[order], left * center[order],
             np.abs(at - begin)[order], left * bend[order],
-            find_first_after_jumps(np.abs(s - begin)[order], jumps),
+            find_first_after_jumps(np.abs(s - begin)[order], jumps, forward=lane.forward),
         )  # fmt: skip
         if jumps:
             turned = 0.0 if lane.forward else np.pi

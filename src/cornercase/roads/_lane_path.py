@@ -22,6 +22,8 @@ MIN_JUMP: Final = 0.005
 """Smallest gap in m that is a jump, at which the heading does not change."""
 # Distance in m from a jump within which points do not determine the heading.
 _JUMP_MARGIN: Final = 2.5 * SAMPLE_DISTANCE
+# Tolerance in m for rounded coordinates.
+_COORDINATE_TOLERANCE: Final = 1e-6
 KINK_ANGLE: Final = 0.1
 """Smallest change of heading in rad between two samples that counts as a corner."""
 
@@ -201,10 +203,15 @@ def _distances_along_line(
     return np.concatenate([[0.0], np.cumsum(lengths)])
 
 
-def find_first_after_jumps(reference_distance: FloatArray, jumps: Sequence[float]) -> BoolArray:
-    """Return a mask of the first point after each jump, shape (Q,); `jumps` are distances along the reference lines."""
+def find_first_after_jumps(reference_distance: FloatArray, jumps: Sequence[float], *, forward: bool) -> BoolArray:
+    """Return a mask of the first point after each jump, shape (Q,); `jumps` are distances along the reference lines.
+
+    `forward` says whether the points run along the road's s.
+    """
     jumped = np.zeros(len(reference_distance), dtype=np.bool_)
-    behind = np.searchsorted(reference_distance, np.asarray(jumps))
+    # At a jump itself, the geometry of larger s counts: the one after the jump only if the points run along s.
+    tolerance = -_COORDINATE_TOLERANCE if forward else _COORDINATE_TOLERANCE
+    behind = np.searchsorted(reference_distance, np.asarray(jumps) + tolerance)
     jumped[behind[behind < len(reference_distance)]] = True
     return jumped
 
@@ -253,7 +260,14 @@ def join_paths(pieces: Sequence[LanePath], requested: int = 0) -> LanePath:
     )
     arrays: list[Any] = [np.concatenate([getattr(pieces[k], name) for k in indices]) for name in names]
     jumps = [float(offsets[k]) + jump for k in indices for jump in pieces[k].jumps]
-    jumped = find_first_after_jumps(arrays[7], jumps)
+    jumped = np.concatenate(
+        [
+            find_first_after_jumps(
+                pieces[k].reference_distance - offsets[k], pieces[k].jumps, forward=bool(pieces[k].forward[0])
+            )
+            for k in indices
+        ]
+    )
     # Count small gaps between pieces, too.
     travelled = _distances_along_line(arrays[0], arrays[1], arrays[7], jumped)
     begin = sum(len(pieces[k].x) for k in indices if k < requested)
