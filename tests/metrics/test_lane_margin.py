@@ -17,6 +17,7 @@ from cornercase.drivers._system_under_test import PerScenarioDriver
 from cornercase.metrics import METRICS, Expression, signals_from_recording
 from cornercase.recordings import Recording
 from cornercase.suite import Requirement, judge
+from helpers.road_networks import lane, road, write
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 MOTORWAY = EXAMPLES / "r157" / "motorway.xodr"
@@ -45,6 +46,16 @@ def test_it_is_the_distance_of_the_outermost_corner_from_the_lane_mark():
     assert margin(still(500.0, offsets)) == pytest.approx(expected, abs=1e-9)
     expected = [0.75, 0.25, 0.0, -0.5, 2.4, 2.4, -0.5, -2.0]
     assert margin(still(500.0, offsets), "lane-margin:edge=road") == pytest.approx(expected, abs=1e-9)
+
+
+def test_a_road_of_a_junction_does_not_count_beyond_its_end(tmp_path):
+    roads = write(
+        tmp_path,
+        road("long", 100.0, right=lane(-1), junction="9"),
+        road("short", 20.0, at=(0.0, 1.3, 0.0), right=lane(-1), junction="9"),
+        '<junction id="9"/>',
+    )
+    assert margin(still([10.0, 60.0], -0.9, roads=roads)) == pytest.approx([0.8, -0.1], abs=1e-9)
 
 
 @pytest.mark.parametrize("angle", [0.3, -0.3, 1.2])

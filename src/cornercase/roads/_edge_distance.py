@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from cornercase._common.typing import FloatArray, IntArray
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.roads._nearest import NearestPointIndex
 from cornercase.roads._network import RoadNetwork
 from cornercase.roads._road import Road
@@ -36,7 +36,7 @@ def lane_margins(
     for road, rows in _iter_roads_near(network, x, y):
         s, t = _road_coordinates(road, x[rows], y[rows])
         section = road.section_at(s)
-        is_along = (s > -_END_TOLERANCE) & (s < road.length + _END_TOLERANCE)
+        is_along = _is_along(road, s, x[rows], y[rows])
         for strip, at in _iter_strips(road, section, merge=False):
             (lane,) = strip
             low, high = _strip_edges(road, int(section[at[0]]), strip, s[at])
@@ -120,6 +120,13 @@ def _corner_margins(road: Road, section: int, strip: tuple[int, ...], corners: F
     s, t = _road_coordinates(road, corners[..., 0].ravel(), corners[..., 1].ravel())
     low, high = _strip_edges(road, section, strip, s)
     return np.minimum(t - low, high - t).reshape(corners.shape[:2])
+
+
+def _is_along(road: Road, s: FloatArray, x: FloatArray, y: FloatArray) -> BoolArray:
+    """Return whether points, whose s was found by `_road_coordinates`, are not beyond the ends of the road, (N,)."""
+    on_x, on_y, heading = road.reference_pose(s)
+    ahead = (x - on_x) * np.cos(heading) + (y - on_y) * np.sin(heading)
+    return np.asarray(((s > 0.0) | (ahead > -_END_TOLERANCE)) & ((s < road.length) | (ahead < _END_TOLERANCE)))
 
 
 def _road_coordinates(road: Road, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
