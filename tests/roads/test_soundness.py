@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from conftest import ROAD, car, scenario_file, speed_action, teleport
@@ -52,6 +53,16 @@ def test_a_road_that_contradicts_itself_is_refused(tmp_path, old, new, words):
         RoadNetwork.read(written(tmp_path, old, new))
     assert str(refused.value).startswith(str(tmp_path / "road.xodr"))
     assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(("start", "end", "turn"), [(0, 11, 3.3), (-12, 12, 0.0)])
+def test_a_tight_spiral_of_less_than_a_full_circle_is_a_road(tmp_path, start, end, turn):
+    path = written(tmp_path, "<line/>", f'<spiral curvStart="{start}" curvEnd="{end}"/>')
+    path.write_text(path.read_text().replace('length="500"', 'length="0.6"'))
+    network = RoadNetwork.read(path)
+    heading = network.road_to_xy_heading(0, np.array([0.6]), np.zeros(1))[2]
+    assert heading == pytest.approx(turn)
+    assert len(network.excluded_roads) == 0
 
 
 @pytest.mark.parametrize(

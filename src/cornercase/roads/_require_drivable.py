@@ -77,7 +77,7 @@ def _require_valid_geometry(geometry: ReferenceGeometry, end: float, location: s
                 f"{location} lies more than {_MAX_COORDINATE / 1000:g} km from the origin; move it nearer."
             )
         bend = max(map(abs, geometry.shape_parameters), default=0.0)
-        if bend > _MAX_CURVATURE and bend * geometry.length > 2.0 * np.pi:
+        if bend > _MAX_CURVATURE and not _mean_bend(geometry) * geometry.length <= 2.0 * np.pi:
             raise InputError(
                 f"{location} turns by more than a full circle, and has a curvature of {bend:g} 1/m; in such a turn,"
                 f" at most {_MAX_CURVATURE:g} 1/m are allowed; correct its curvature or length."
@@ -95,6 +95,13 @@ def _require_valid_geometry(geometry: ReferenceGeometry, end: float, location: s
             f"{location} has a <paramPoly3> whose curve is {length:.3g} m long, but its attribute length is"
             f" {geometry.length:g} m; correct its coefficients, its pRange, or its length."
         )
+
+
+def _mean_bend(geometry: ReferenceGeometry) -> float:
+    """Return the mean of the absolute curvature of an arc or a spiral, in 1/m; NaN if it is too large for a float."""
+    first, last = geometry.shape_parameters[0], geometry.shape_parameters[-1]
+    total = abs(first) + abs(last)
+    return 0.5 * total if first * last >= 0.0 else 0.5 * (first * first + last * last) / total
 
 
 def _require_bounded_cubics(cubics: tuple[CubicPolynomial, ...], length: float, subject: str) -> None:
