@@ -30,6 +30,25 @@ def test_steps_give_round_values():
     assert space.size is None
 
 
+@pytest.mark.parametrize(
+    ("low", "step", "is_integer"), [(1e13, 1.0, True), (1e13 + 1.0, 10_000.0, True), (1e13 + 0.5, 0.5, False)]
+)
+def test_steps_of_large_values_are_all_there(low, step, is_integer):
+    parameter = Parameter("a", low, low + 5 * step, step, is_integer=is_integer)
+    assert [parameter.value_at((k + 0.5) / 6) for k in range(6)] == [low + k * step for k in range(6)]
+
+
+def test_no_step_is_below_the_lower_bound():
+    assert Parameter("a", 0.1234567890123456, 2.0, 1.0).value_at(0.0) == 0.1234567890123456
+
+
+def test_a_value_that_is_no_choice_has_no_number():
+    parameter = Parameter("a", 0, 1, choices=("x", "y"))
+    assert parameter.extract_number({"a": "y"}) == 1.0
+    with pytest.raises(InputError, match="The parameter a has no value 'z'"):
+        parameter.extract_number({"a": "z"})
+
+
 @given(st.lists(st.floats(0, 1), min_size=3, max_size=3))
 def test_values_and_points_are_inverse(u):
     space = ParameterSpace.from_ranges(["a=2:7:0.5", "b=-1:1", "c=0:3:1"])
@@ -214,6 +233,7 @@ def test_histogram_and_set_share_the_unit_interval_by_weight(tmp_path):
         f'<PoissonDistribution expectedValue="0">{RANGE.format(0, 3)}</PoissonDistribution>',
         f'<PoissonDistribution expectedValue="3">{RANGE.format(500, 600)}</PoissonDistribution>',
         f'<PoissonDistribution expectedValue="3">{RANGE.format(0, 1e12)}</PoissonDistribution>',
+        f'<PoissonDistribution expectedValue="50000">{RANGE.format(0, 100_000)}</PoissonDistribution>',
         f'<LogNormalDistribution expectedValue="3" variance="1">{RANGE.format(-3, -1)}</LogNormalDistribution>',
         f'<UniformDistribution>{RANGE.format(3, 3)}</UniformDistribution>',
         "<UniformDistribution/>",

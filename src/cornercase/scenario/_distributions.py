@@ -205,7 +205,7 @@ def _read_poisson(element: etree._Element, location: str) -> Distribution:
     else:
         low, high = _read_range_limits(span, location)
     low, high = max(float(np.ceil(low)), 0.0), float(np.floor(high))
-    if high - low > _MAX_POISSON_VALUES or max(low, high) > _MAX_VALUE:
+    if high - low >= _MAX_POISSON_VALUES or max(low, high) > _MAX_VALUE:
         raise InputError(
             f"{location}: a Poisson distribution may have {_MAX_POISSON_VALUES} values at most; narrow its range."
         )

@@ -19,6 +19,8 @@ Value = float | str
 
 # Doubles cannot represent all larger integers.
 _MAX_STEPS: Final = 2.0**53
+# Largest rounding of a value in steps, as a part of the step.
+_MAX_ROUNDING: Final = 1e-3
 
 
 @dataclass(frozen=True)
@@ -187,7 +189,12 @@ class Parameter:
             No choice sets these values.
         """
         value = self.extract_value(values)
-        return float(self.choices.index(str(value)) if self.choices else value)
+        return float(self._choice_index(value) if self.choices else value)
+
+    def _choice_index(self, value: Value) -> int:
+        if str(value) not in self.choices:
+            raise InputError(f"The parameter {self.name} has no value '{value}'.")
+        return self.choices.index(str(value))
 
     def value_at(self, unit_position: float) -> Value:
         """Return the value at a position of the unit interval.
@@ -217,9 +224,16 @@ class Parameter:
             return [self.choices[k] for k in numbers.tolist()]
         # Compute each distinct value once.
         met, which = np.unique(numbers, return_inverse=True)
-        steps = [_remove_rounding_error(self.low + k * float(self.step or 0.0)) for k in met.tolist()]
-        values = [round(value) if self.is_integer else value for value in steps]
+        values = [self._step_value(k, float(self.step or 0.0)) for k in met.tolist()]
         return [values[k] for k in which.tolist()]
+
+    def _step_value(self, index: int, step: float) -> float:
+        value = self.low + index * step
+        if self.is_integer:
+            return round(value)
+        # Without the rounding error of the sum, 3 × 0.1 gives 0.3; but steps of large values have more digits.
+        rounded = float(f"{value:.12g}")
+        return max(rounded if abs(rounded - value) < _MAX_ROUNDING * step else value, self.low)
 
     def unit_position(self, value: Value) -> float:
         """Return the position of a value in the unit interval, the inverse of `value_at`.
@@ -241,9 +255,7 @@ class Parameter:
         """
         size = self.size
         if self.choices:
-            if str(value) not in self.choices:
-                raise InputError(f"The parameter {self.name} has no value '{value}'.")
-            return float(self.level_midpoints(np.array([self.choices.index(str(value))]))[0])
+            return float(self.level_midpoints(np.array([self._choice_index(value)]))[0])
         x = float(value)
         if size is not None:
             k = round((x - self.low) / float(self.step or 1.0))
@@ -303,8 +315,3 @@ class Parameter:
         # Probability of the interval that is rounded to the value.
         between = self.low + float(self.step or 1.0) * (np.arange(self.size - 1) + 0.5)
         return np.array([0.0, *(self.distribution.cdf(float(bound)) for bound in between), 1.0])
-
-
-def _remove_rounding_error(x: float) -> float:
-    """Remove the rounding error of a sum of steps, so that 3 × 0.1 gives 0.3."""
-    return float(f"{x:.12g}")
