@@ -246,6 +246,13 @@ def test_some_scenarios_of_a_space_bound_what_all_of_them_would_say():
     assert (found.low, found.high, found.error) == (0.25, 0.5, None)
 
 
+def test_scenarios_without_the_event_are_counted():
+    found = probability_from_weights(np.ones(50), np.zeros(50, dtype=np.bool_))
+    assert (found.value, found.low, found.high, found.error) == (0.0, 0.0, 1.0, None)
+    assert (found.scenarios, found.met) == (50, 0)
+    assert found.method.startswith("importance sampling")
+
+
 def test_an_interval_begins_below_one_where_weights_make_more_than_certainty():
     found = probability_from_weights(np.full(100, 1.3), np.ones(100, dtype=np.bool_))
     assert found.low <= found.value == found.high == 1.0

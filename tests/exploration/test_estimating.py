@@ -45,7 +45,7 @@ def opened(path, space=LOGICAL.space):
     )
 
 
-def estimator(study, simulator=None, budget=800, logical=LOGICAL, learn=320):
+def estimator(study, simulator=None, budget=800, logical=LOGICAL, learn=320, gap=1.0):
     configuration = ExplorationConfig(
         logical,
         ego="Ego",
@@ -57,7 +57,7 @@ def estimator(study, simulator=None, budget=800, logical=LOGICAL, learn=320):
         seed=3,
     )
     sampling = ImportanceSampling(logical.space, 2, learn, 3)
-    return ProbabilityEstimator(configuration, simulator or Synthetic(), sampling, study, 1.0)
+    return ProbabilityEstimator(configuration, simulator or Synthetic(), sampling, study, gap)
 
 
 def report_data(path):
@@ -179,6 +179,35 @@ def test_of_a_small_space_all_is_run_and_nothing_is_unsure(tmp_path):
         found.critical.value,
         0.0,
     )
+
+
+class Far(Synthetic):
+    """B is `away` m further from the ego than in the scenario; NaN for nowhere."""
+
+    def __init__(self, away):
+        super().__init__()
+        self.away = away
+
+    def run(self, concretes):
+        for one in super().run(concretes):
+            yield replace(one, x=one.x + np.array([[0.0], [self.away]]))
+
+
+@pytest.mark.parametrize(("away", "probability"), [(150.0, 0.0), (115.0, 7 / 9), (np.nan, 0.0)])
+def test_a_gap_beyond_the_cap_of_clearance_counts_as_it_is(tmp_path, away, probability):
+    logical = replace(LOGICAL, space=ParameterSpace.from_ranges(["a=0:0.8:0.4", "b=0:0.8:0.4"]))
+    with opened(tmp_path / "e.db", logical.space) as study:
+        found = estimator(study, Far(away), logical=logical, gap=120.0).run()
+    # 115 m and 10 |a - b| m are more than 120 m in two of the nine scenarios.
+    assert found.encounter.value == pytest.approx(probability)
+
+
+def test_without_any_encounter_nothing_is_said_about_what_happens_in_one(tmp_path):
+    logical = replace(LOGICAL, space=ParameterSpace.from_ranges(["a=0:0.2:0.1", "b=0:0.2:0.1"]))
+    with opened(tmp_path / "e.db", logical.space) as study:
+        found = estimator(study, Far(20.0), logical=logical).run()
+    assert (found.encounter.value, found.encounter.error) == (0.0, 0.0)
+    assert (found.critical_given_encounter, found.collision_given_encounter) == (None, None)
 
 
 SMALL = replace(LOGICAL, space=ParameterSpace.from_ranges(["a=0:1:0.05", "b=0:1:0.1"]))

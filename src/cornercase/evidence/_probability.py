@@ -119,7 +119,9 @@ def probability_from_weights(weights: FloatArray, met: BoolArray, common_error: 
     parts = np.where(met, weights, 0.0)
     total, count = float(parts.sum()), len(parts)
     if total <= 0.0:
-        return probability_from_counts(0, 0)
+        return Probability(
+            0.0, 0.0, 1.0, 0.0, 1.0, "importance sampling, log-normal", None, count, int(met.sum()), 0.0, 0.0
+        )
     # Weights are 1 only on average, so the estimate of a nearly certain event may exceed 1.
     value = min(total / count, 1.0)
     spread = float(parts.std(ddof=1)) if count > 1 else value
@@ -157,9 +159,9 @@ def conditional_probability(both: Probability, condition: Probability) -> Probab
     """Estimate a conditional probability: the probability of both events over the probability of the condition.
 
     The two probabilities come from different scenarios. The interval is computed for the logarithm. None if either
-    probability has no standard error, for example because the event did not occur.
+    probability has no standard error, for example because the event did not occur, or if the condition is impossible.
     """
-    if both.error is None or condition.error is None:
+    if both.error is None or condition.error is None or condition.value == 0.0:
         return None
     value, error = min(both.value / condition.value, 1.0), float(np.hypot(both.error, condition.error))
     bounds = _log_normal_bounds(value, error, min(both.effective, condition.effective))

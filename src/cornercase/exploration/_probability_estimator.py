@@ -194,8 +194,9 @@ class ProbabilityEstimator:
             for k, row in zip(np.flatnonzero(is_done).tolist(), done, strict=True):
                 recording = self._study.recording(row.id)
                 collision[k] = any(recording.first_collision(ego, other) is not None for other in others)
-                gaps = [self._clearance.score(self._clearance.course(recording, ego, other)) for other in others]
-                encounter[k] = min(gaps) <= self._encounter_gap
+                courses = [self._clearance.course(recording, ego, other) for other in others]
+                # Scores are capped, and entities that never exist together have none.
+                encounter[k] = any((course <= self._encounter_gap).any() for course in courses)
         return EventOutcomes(scores, self._objective.critical_mask(scores), collision, encounter)
 
     def _collect_points_and_outcomes(self, *stages: str) -> tuple[FloatArray, EventOutcomes]:
