@@ -118,6 +118,24 @@ def test_braking_begins_with_nine_tenths_of_the_strongest():
     assert told(recording)["other-braking-way"] == pytest.approx(50.0)
 
 
+def test_braking_in_reverse_is_braking():
+    recording = meeting()
+    speed = np.minimum(-6.0 + 3.0 * np.maximum(TIME - 2.0, 0.0), 0.0)
+    slows = np.where((TIME > 2.05) & (TIME < 4.05), 3.0, 0.0)
+    x = np.append(0.0, np.cumsum(speed[:-1] * 0.1))
+    found = told(
+        replace(
+            recording,
+            x=np.stack([x, x + 50.0]),
+            y=np.zeros((2, len(TIME))),
+            speed=np.stack([speed, speed]),
+            acceleration=np.stack([slows, slows]),
+        )
+    )
+    assert [found["braking-way"], found["other-braking-way"]] == pytest.approx([12.6, 12.6])
+    assert found["braking-speed"] == pytest.approx(5.7)
+
+
 def test_the_other_is_fastest_where_it_first_is():
     recording = meeting()
     found = told(replace(recording, speed=np.stack([recording.speed[0], np.minimum(5.0 + TIME, 9.0)])))

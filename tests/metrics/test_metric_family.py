@@ -396,6 +396,9 @@ def test_gap_time_closed_forms():
     close(now(GapTime(), actor(x=3, v=10), cross), math.nan)
     close(now(GapTime(), actor(v=10), actor(y=8, v=10)), math.nan)
     close(now(GapTime(), actor(v=10), actor(y=-40, yaw=math.pi / 2, v=8)), 5.0)
+    # Who stands on the crossing has arrived, also if it is a rounding error ahead.
+    close(now(GapTime(), actor(x=-1e-9), cross), 5.0)
+    close(now(Spret(), actor(x=-1e-9), cross), 25.0)
 
 
 # --- exposure -----------------------------------------------------------------------------------------------

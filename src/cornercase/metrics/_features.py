@@ -181,8 +181,8 @@ class EgoBraking(FeatureGroup):
     def values(self, encounter: Encounter) -> FloatArray:
         if not len(encounter.ego_instants):
             return np.zeros(2)
-        k = _instant_of_strongest_braking(encounter.recording.acceleration[encounter.ego_row], encounter.ego_instants)
-        return np.array([encounter.distance_driven_until(k), encounter.recording.speed[encounter.ego_row, k]])
+        k = _instant_of_strongest_braking(encounter.recording, encounter.ego_row, encounter.ego_instants)
+        return np.array([encounter.distance_driven_until(k), abs(encounter.recording.speed[encounter.ego_row, k])])
 
 
 class OtherMotion(FeatureGroup):
@@ -204,7 +204,7 @@ class OtherMotion(FeatureGroup):
             return np.zeros(3)
         speeds = np.abs(encounter.recording.speed[encounter.other_row, instants])
         k = int(np.argmax(speeds))
-        braking = _instant_of_strongest_braking(encounter.recording.acceleration[encounter.other_row], instants)
+        braking = _instant_of_strongest_braking(encounter.recording, encounter.other_row, instants)
         steps = np.diff(encounter.other_center[instants[instants <= braking]], axis=0)
         return np.array(
             [speeds[k], encounter.time_since_start(int(instants[k])), np.hypot(steps[:, 0], steps[:, 1]).sum()]
@@ -296,13 +296,14 @@ class WholeRecording(FeatureGroup):
         return np.array([encounter.duration, encounter.distance_driven_until(None), float(is_contact)])
 
 
-def _instant_of_strongest_braking(accelerations: FloatArray, instants: IntArray) -> int:
+def _instant_of_strongest_braking(recording: Recording, row: int, instants: IntArray) -> int:
     """Return the first of `instants` at which an entity brakes with at least 0.9 times its strongest deceleration.
 
     The factor 0.9 finds the beginning of hard braking, even if the deceleration still rises a little. If the entity
     never brakes, return the last of `instants`.
     """
-    braking = np.nan_to_num(-accelerations[instants])
+    accelerations, reverses = recording.acceleration[row, instants], recording.speed[row, instants] < 0.0
+    braking = np.nan_to_num(np.where(reverses, accelerations, -accelerations))
     strongest = float(braking.max())
     return int(instants[np.argmax(braking >= _STRONG * strongest) if strongest > _MIN_BRAKING else -1])
 

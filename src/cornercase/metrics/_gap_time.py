@@ -6,7 +6,7 @@ import numpy as np
 
 from cornercase._common.typing import FloatArray
 from cornercase.metrics._base import Metric
-from cornercase.metrics._geometry.crossing import distances_to_crossing
+from cornercase.metrics._geometry.crossing import REACH, distances_to_crossing
 from cornercase.metrics._geometry.numeric import check_nonnegative_options, divide_by_positive_or_inf
 from cornercase.recordings import Recording
 
@@ -97,7 +97,7 @@ def _arrival_times(recording: Recording, ego: str, other: str, ahead: float) -> 
 
 
 def _arrival_time(distance: FloatArray, speed: FloatArray) -> FloatArray:
-    time = np.where(speed > 0.0, divide_by_positive_or_inf(distance, speed), np.where(distance > 0.0, np.inf, 0.0))
+    time = np.where(speed > 0.0, divide_by_positive_or_inf(distance, speed), np.where(distance > REACH, np.inf, 0.0))
     return np.where(np.isnan(distance + speed), np.nan, time)
 
 

@@ -8,7 +8,7 @@ from cornercase._common.typing import FloatArray
 from cornercase.metrics._geometry.crossing_kernel import find_track_crossings
 from cornercase.recordings import Recording
 
-_REACH = 1e-6
+REACH = 1e-6
 """Distance in m by which a track may miss the other track and still cross it.
 
 So rounding errors open no gap at a vertex.
@@ -32,7 +32,7 @@ def distances_to_crossing(recording: Recording, ego: str, other: str, ahead: flo
     tracks = _CenterTrack(recording, ego, ahead), _CenterTrack(recording, other, ahead)
     crossings = _crossing_distances(*tracks)
     to_ego, to_other = (along[:, None] - track.distance_at for along, track in zip(crossings, tracks, strict=True))
-    is_ahead = (to_ego >= -_REACH) & (to_other >= -_REACH)
+    is_ahead = (to_ego >= -REACH) & (to_other >= -REACH)
     total = np.where(is_ahead, np.maximum(to_ego, 0.0) + np.maximum(to_other, 0.0), np.inf)
     if not len(total):
         undefined = np.full(len(recording.time), np.nan)
@@ -85,7 +85,7 @@ def _crossing_distances(a: _CenterTrack, b: _CenterTrack) -> tuple[FloatArray, F
     capacity = _INITIAL_CAPACITY
     while True:
         distances = np.empty((2, capacity))
-        count = find_track_crossings(*pieces, _PARALLEL, _REACH, distances)
+        count = find_track_crossings(*pieces, _PARALLEL, REACH, distances)
         if count <= capacity:
             return distances[0, :count], distances[1, :count]
         capacity = count
