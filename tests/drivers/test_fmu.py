@@ -18,8 +18,10 @@ from cornercase.drivers._resolve import create_driver_named_in_file, may_be_name
 from cornercase.drivers._serialization import driver_command_option, format_driver, serialize_driver
 from cornercase.drivers.fmu._input_quantities import QUANTITIES, Traffic, recognize_input, recognize_output
 from cornercase.drivers.fmu._instance import Fmu, FmuError
+from cornercase.drivers.fmu._instance_server import InstanceServer
 from cornercase.drivers.fmu._mapping import VariableMap
 from cornercase.drivers.fmu._model import read_fmu
+from cornercase.drivers.fmu._processes import FmuProcesses, MessageLayouts
 from cornercase.study import StudyFile
 from helpers.command_line import cornercase
 from helpers.fmus import PYTHON_AEB, make_fmu, make_python_fmu, make_steering_fmu, step_instance
@@ -207,6 +209,58 @@ def test_a_fault_says_its_instant_and_the_log(folder, version, fault):
     assert FAULTS[fault].format(version, version) in str(raised.value)
     assert f"the driver of Ego (fmu:aeb{version}.fmu:fault={fault}" in str(raised.value)
     assert str(folder) not in str(raised.value)
+
+
+def test_a_process_that_has_finished_does_not_hang_while_another_one_is_slow(folder, tmp_path):
+    """Fault 7 is an instance whose steps take 0.15 s; its ten steps take longer than a call may."""
+    processes = FmuProcesses(read_fmu(folder / "once.fmu").unpack(tmp_path), once_per_process=True, timeout=1.0)
+    parameters: Any = [("Integer", 20, [7, 0]), ("Real", 5, [0.0])]
+    try:
+        processes.begin_batch(2, [], [], parameters, 0.005, 10, MessageLayouts())
+        assert processes.step(np.array([True, False]), [], [[], []]) == {}
+        assert processes.step(np.array([False, True]), [], [[], []]) == {}
+    finally:
+        processes.close()
+
+
+class UnresettableFmu:
+    """FMU whose instances return an error when they are reset; `freed` says of each whether it was terminated."""
+
+    version, component = 2, 0
+
+    def __init__(self):
+        self.freed: list[bool] = []
+
+    def instantiate(self, name):
+        return self
+
+    def bind_step(self, time, size):
+        return lambda: None
+
+    def enter_initialization(self): ...
+
+    exit_initialization = enter_initialization
+
+    def reset(self):
+        raise FmuError("fmi2Reset returned fmi2Error")
+
+    def free(self, *, terminate=True):
+        self.freed.append(terminate)
+
+
+@pytest.mark.parametrize(("reset", "failures"), [(None, {}), (True, {0: ("fmi2Reset returned fmi2Error", [], False)})])
+def test_an_instance_that_cannot_be_reset_is_freed_without_another_call(tmp_path, reset, failures):
+    fmu: Any = UnresettableFmu()
+    server, memory = InstanceServer(fmu), tmp_path / "memory"
+    memory.write_bytes(b"\0" * 16 + b"\1")
+    names = ("inputs", "outputs", "parameters", "static", "message_inputs", "message_outputs")
+    message = {"memory": memory, "scenarios": 1, "step": 0.05, "steps": 1, **{name: [] for name in names}}
+    server.begin({**message, "reset": reset})
+    assert server.step() == {}
+    server.end(reset)
+    server.begin({**message, "reset": reset})
+    assert server.step() == failures
+    assert fmu.freed == [False]
 
 
 @NOTICES
@@ -488,6 +542,8 @@ def test_the_page_lists_what_is_known():
     assert recognize_input("target[3].x", is_array=False) == "object[3].x"
     assert recognize_input("objects_in_path", is_array=True) == "object.in_path"
     assert recognize_input("torque", is_array=False) is None
+    # The nearest object has the number 1.
+    assert recognize_input("objects[0].x", is_array=False) is None
 
 
 @NOTICES

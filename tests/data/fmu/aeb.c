@@ -5,6 +5,7 @@
 
 #include <stdio.h>
 #include <stdlib.h>
+#include <unistd.h>
 
 #if FMI == 2
 #include "fmi2Functions.h"
@@ -15,7 +16,7 @@
 #endif
 
 enum { SPEED, GAP, CLOSING, REACTION, THRESHOLD, FAULT_TIME, ACCELERATION, N_REALS };
-enum { NO_FAULT, CRASH, HANG, ERROR_STATUS, FATAL_STATUS, NAN_OUTPUT, NO_RESET };
+enum { NO_FAULT, CRASH, HANG, ERROR_STATUS, FATAL_STATUS, NAN_OUTPUT, NO_RESET, SLOW };
 
 typedef struct {
     double real[N_REALS];
@@ -83,6 +84,9 @@ static int step(Brake *brake, double time, double size) {
         return 4;
     case NAN_OUTPUT:
         real[ACCELERATION] = 0.0 / 0.0;
+        break;
+    case SLOW:
+        usleep(150000);
     }
     return 0;
 }

@@ -52,7 +52,8 @@ class FmuDriver(DrivingFunction):
         that the FMU declares, or the time step of the simulator if the FMU declares none or writes its motion as an OSI
         message.
     timeout : float, optional
-        Longest time in s that a call of the FMU may take.
+        Longest time in s that a call of the FMU in a time step may take. Loading the FMU, and the start and the end of
+        a batch (scenarios that run together), may take 60 s each if that is longer.
     mutations : str, optional
         TOML file with the changes of the FMU's parameters that mutation testing tries.
     **parameters

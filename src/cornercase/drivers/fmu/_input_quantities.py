@@ -360,7 +360,10 @@ def recognize_input(variable: str, *, is_array: bool) -> str | None:
     if (match := pattern.fullmatch(name)) is None or match[match.lastindex or 0] not in _FIELD_BY_NAME:
         return None
     field = _FIELD_BY_NAME[match[match.lastindex or 0]]
-    return f"object.{field}" if is_array else f"object[{match[1]}].{field}"
+    if is_array:
+        return f"object.{field}"
+    numbered = f"object[{match[1]}].{field}"
+    return numbered if find_quantity(numbered) is not None else None
 
 
 def recognize_output(variable: str) -> str | None:

@@ -24,8 +24,8 @@ from cornercase.drivers.fmu._instance import C_TYPES, FATAL, WARNING, Fmu, FmuEr
 from cornercase.drivers.fmu._osmp_buffers import MessageBuffers, pass_message, read_message
 
 PROGRESS_BYTES: Final = 16
-"""Size of the header of the shared memory: a counter, which grows with each start and step of an instance, and the
-current scenario."""
+"""Size of the header of the shared memory: a counter, which grows with each start and step of an instance, and 1 once
+all scenarios have been stepped."""
 _MAX_LINES: Final = 20
 # Time in s between two checks that the parent process is alive.
 _LIFE_INTERVAL: Final = 1.0
@@ -127,17 +127,21 @@ class InstanceServer:
         for row, is_active in enumerate(bytes(self._active)):
             if not is_active or row in self._failed:
                 continue
-            self._progress[1] = row
             self._lines.clear()
             try:
                 self._step_row(row)
             except FmuError as error:
                 failures[row] = str(error), list(self._lines), error.status == FATAL
                 self._failed.add(row)
-                instance, self._instances[row] = self._instances[row], None
-                if instance is not None and error.status != FATAL:
-                    instance.free(terminate=False)
+                self._free_failed(row, error)
+        self._progress[1] = 1
         return failures
+
+    def _free_failed(self, row: int, error: FmuError) -> None:
+        """Free the instance of a scenario, if there is one, after it has returned an error."""
+        instance, self._instances[row] = self._instances[row], None
+        if instance is not None and error.status != FATAL:
+            instance.free(terminate=False)
 
     def _step_row(self, row: int) -> None:
         instance = self._instances[row] or self._set_up(row)
@@ -156,12 +160,12 @@ class InstanceServer:
 
     def _set_up(self, row: int) -> Instance:
         self._progress[0] += 1
-        if self._idle:
-            instance = self._idle.pop()
-            instance.reset()
-        else:
-            instance = self._fmu.instantiate("cornercase")
+        is_reused = bool(self._idle)
+        instance = self._idle.pop() if is_reused else self._fmu.instantiate("cornercase")
+        # Kept before any call can fail, since `step` frees the instance of a failed scenario.
         self._instances[row] = instance
+        if is_reused:
+            instance.reset()
         self._initialize(instance, row)
         return instance
 
@@ -207,13 +211,12 @@ class InstanceServer:
         `reset` is the answer so far: None if unknown. An unknown answer is found by repeating a recorded scenario after
         a reset; without a recorded scenario, the answer remains None.
         """
-        running = [instance for instance in self._instances if instance is not None]
-        recorded = self._instances[self._recorded_row] if self._recorded else None
-        if reset is None and recorded is not None:
+        running = [row for row, instance in enumerate(self._instances) if instance is not None]
+        if reset is None and self._recorded and self._recorded_row in running:
             # The last instance has driven another scenario, which must not influence it after a reset.
-            checked = [recorded] if running[-1] is recorded else [recorded, running[-1]]
-            reset = all(self._is_repeated_after_reset(instance) for instance in checked)
-        for instance in running:
+            checked = dict.fromkeys((self._recorded_row, running[-1]))
+            reset = all(self._is_repeated_after_reset(row) for row in checked)
+        for instance in filter(None, self._instances):
             if reset:
                 self._idle.append(instance)
             else:
@@ -221,8 +224,9 @@ class InstanceServer:
         self._instances = []
         return reset
 
-    def _is_repeated_after_reset(self, instance: Instance) -> bool:
-        row = self._recorded_row
+    def _is_repeated_after_reset(self, row_of_instance: int) -> bool:
+        instance, row = self._instances[row_of_instance], self._recorded_row
+        assert instance is not None
         try:
             instance.reset()
             for k, (inputs, messages, outputs) in enumerate(self._recorded):
@@ -236,7 +240,8 @@ class InstanceServer:
                 self._get_outputs(instance, row)
                 if self._read_row(row) != outputs:
                     return False
-        except FmuError:
+        except FmuError as error:
+            self._free_failed(row_of_instance, error)
             return False
         return True
 

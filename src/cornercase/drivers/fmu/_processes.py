@@ -300,6 +300,8 @@ class _Process:
 
     def _send(self, line: bytes, limit: float) -> None:
         assert self._process.stdin is not None
+        if self._memory is not None:
+            self._progress[1] = 0
         self.limit, self._requests, self._is_busy = limit, self._requests + 1, True
         # If the process has ended, there is no answer.
         with suppress(OSError, ValueError):
@@ -335,12 +337,12 @@ class _Process:
         return self._log.read().decode(errors="replace").splitlines()
 
     def read_progress(self) -> tuple[bool, tuple[int, int]]:
-        """Return whether a request is pending, and numbers that change while the process makes progress."""
-        progress = 0 if self._memory is None else int(self._progress[0])
+        """Return whether the process works on a request, and numbers that change while it makes progress."""
+        progress, has_ended = (0, 0) if self._memory is None else self._progress.tolist()
         with suppress(OSError, ValueError):
             if self._log.seek(0, 2) > 10 * _MAX_LOG_BYTES:
                 self._log.truncate(0)
-        return self._is_busy, (self._requests, progress)
+        return self._is_busy and not has_ended, (self._requests, progress)
 
     def kill_as_hung(self) -> None:
         """Kill the process because it does not answer in time."""
