@@ -9,8 +9,11 @@ import pytest
 
 from conftest import EXAMPLES
 from cornercase._common.errors import InputError
-from cornercase.drivers import AGGRESSIVE, DRIVERS, NORMAL, BehaviourDriver, generate_mutants
+from cornercase.drivers import AGGRESSIVE, DRIVERS, NORMAL, BehaviourDriver, EquippedDriver, Radar, generate_mutants
+from cornercase.drivers._mutants import mutable_driver_name
 from cornercase.drivers._preset_name import nearest_preset_name
+from cornercase.drivers._resolve import load_user_driver
+from cornercase.drivers._serialization import serialize_driver
 from helpers.command_line import cornercase
 
 # Parameters that make a driver worse when increased; all others do so when reduced.
@@ -63,6 +66,18 @@ def test_drivers_that_are_made_have_names():
     assert DRIVERS.create(nearest_preset_name(slow.settings)).settings == slow.settings
 
 
+def test_mutants_keep_the_sensors_and_the_vehicle_model():
+    name = "normal + radar:range=100 + kinematic"
+    assert mutable_driver_name(name) == name
+    assert all(mutant.driver.endswith(" + radar:range=100 + kinematic") for mutant in generate_mutants(name, 3))
+    equipped = EquippedDriver(BehaviourDriver(NORMAL._replace(reaction_time=0.75)), [Radar(range=100)])
+    # As an object, and as stored in a study.
+    for driver in (equipped, serialize_driver(equipped)):
+        assert mutable_driver_name(driver) == "normal:reaction_time=0.75 + radar:range=100"
+    with pytest.raises(InputError, match="a file may only name registered sensors"):
+        mutable_driver_name({"driver": "normal", "equipment": ["my_sensors:Radar"]})
+
+
 def test_drivers_without_mutants_are_refused():
     for driver in ("cc-human",):
         with pytest.raises(InputError, match=f"driver {driver} has no mutants"):
@@ -84,7 +99,7 @@ def test_drivers_without_mutants_are_refused():
 
 OWN_CLASS = """
 import cornercase as cc
-from cornercase.drivers import Mutation
+from cornercase.drivers import Driver, Mutation
 
 
 class Aeb(cc.SystemUnderTest):
@@ -109,6 +124,23 @@ class Bare(Aeb):
 
 class Wrong(Aeb):
     mutations = (Mutation("sees less", "sight", 0.8, 0.2),)
+
+
+class Frames(Aeb):
+    mutations = (Mutation("slower", "frames", 1.05, 3.0),)
+
+    def __init__(self, frames: int = 3):
+        super().__init__()
+
+
+class Braking(Driver):
+    mutations = (Mutation("brakes less", "deceleration", 0.8, 0.2),)
+
+    def __init__(self, deceleration: float = 5.0):
+        self.deceleration = deceleration
+
+    def acceleration(self, situation):
+        return 0.0 * situation.speed - self.deceleration
 """
 
 
@@ -131,6 +163,25 @@ def test_a_class_of_the_user_has_the_mutants_that_it_declares(own_module):
         generate_mutants("mutated_aeb:Bare", 2)
     with pytest.raises(InputError, match="'sight', but its constructor has no option"):
         generate_mutants("mutated_aeb:Wrong", 2)
+
+
+def test_a_whole_number_stays_one_in_a_mutant(own_module):
+    mutants = generate_mutants("mutated_aeb:Frames", 10)
+    values = [load_user_driver(mutant.driver).numeric_parameters()["frames"] for mutant in mutants]
+    # Of 3.15 to 9, without 3.
+    assert sorted(values) == [4.0, 5.0, 6.0, 7.0, 8.0, 9.0]
+    with pytest.raises(InputError, match="no mutation changes a parameter"):
+        generate_mutants("mutated_aeb:Frames:frames=0", 2)
+
+
+def test_a_class_under_a_registered_name_has_the_mutants_that_it_declares(own_module, monkeypatch):
+    monkeypatch.setattr(DRIVERS, "_factories", dict(DRIVERS._factories))
+    DRIVERS.register("braking", "mutated_aeb:Braking")
+    monkeypatch.syspath_prepend(own_module)
+    assert mutable_driver_name("braking + radar") == "braking + radar"
+    (mutant,) = generate_mutants("braking:deceleration=4", 1)
+    assert mutant.mutation == "brakes less"
+    assert 0.8 <= DRIVERS.create(mutant.driver).numeric_parameters()["deceleration"] <= 3.2
 
 
 def test_reduce_and_test_make_mutants_of_a_class_of_the_user(own_module):

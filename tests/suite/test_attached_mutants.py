@@ -76,6 +76,10 @@ def test_an_fmu_has_mutants_by_its_file(folder):
         spec, _, equipment = mutant.driver.partition(" + ")
         assert equipment == "kinematic"
         assert 0.3 <= float(spec.rpartition("reaction=")[2]) <= 1.6
+    # A whole number that is rounded to the driver's own makes no mutant.
+    (folder / "fault.toml").write_text("[fault]\nincrease = [0.1, 2]\n")
+    mutants = generate_mutants("fmu:aeb.fmu:mutations=fault.toml", 4)
+    assert {mutant.driver.rpartition("fault=")[2] for mutant in mutants} == {"1", "2"}
     assert mutable_driver_name(FmuDriver("aeb.fmu", mutations="fmu.toml")) == "fmu:aeb.fmu:mutations=fmu.toml"
     assert str(FmuDriver("aeb.fmu", mutations="fmu.toml")) == "fmu:aeb.fmu"
     given = ProcessFunction(PROGRAM.removeprefix("exec:"), time_to_brake=2, mutations="program.toml")

@@ -182,6 +182,15 @@ def list_numeric_option_names(factory: Callable[..., Any]) -> list[str]:
     return [name for name, parameter in declared_options(factory).items() if takes_numbers(parameter)]
 
 
+def list_whole_number_option_names(factory: Callable[..., Any]) -> list[str]:
+    """Return the names of the options that are annotated as int."""
+    return [
+        name
+        for name, parameter in declared_options(factory).items()
+        if annotated_types(parameter.annotation) == {"int"}
+    ]
+
+
 def annotated_types(annotation: object) -> set[str]:
     """Return the names of the types that an annotation allows: ``{"int", "str"}`` for ``int | str | None``."""
     # Annotations are strings if they are not evaluated.
@@ -194,12 +203,11 @@ def copy_with_numeric_options(configured: Any, numbers: Mapping[str, float]) -> 
 
     Options that the constructor declares as int get an int; `ValueError` if the new number is not a whole number.
     """
-    declared = declared_options(type(configured))
+    whole = list_whole_number_option_names(type(configured))
     options: dict[str, float] = {}
     for name, number in numbers.items():
-        annotation = declared[name].annotation if name in declared else float
         options[name] = number
-        if annotated_types(annotation) == {"int"}:
+        if name in whole:
             if not float(number).is_integer():
                 raise ValueError(f"'{name}' takes a whole number, not {number:g}; use a step of 1 in its range")
             options[name] = int(number)

@@ -9,6 +9,7 @@ from typing import Final, Protocol, runtime_checkable
 
 import numpy as np
 
+from cornercase._common.configurable import list_whole_number_option_names
 from cornercase._common.errors import InputError, suggest_name
 from cornercase._common.validation import check_int, check_str
 from cornercase.drivers._base import Driver
@@ -16,8 +17,9 @@ from cornercase.drivers._equipment import EquippedDriver
 from cornercase.drivers._mutation import Mutation
 from cornercase.drivers._preset_name import nearest_preset_name, preset_parameters
 from cornercase.drivers._registry import SEPARATOR, is_registered_driver, split_spec
-from cornercase.drivers._resolve import driver_by_name, runs_program_or_file
+from cornercase.drivers._resolve import driver_by_name, may_be_named_in_file, runs_program_or_file
 from cornercase.drivers._serialization import user_driver_spec
+from cornercase.drivers._system_under_test import PerScenarioDriver
 
 MAX_MUTANTS: Final = 1000
 """Maximum number of mutants of a driver."""
@@ -82,7 +84,8 @@ def generate_mutants(driver: str, count: int, seed: int = 0) -> tuple[Mutant, ..
         ``"my_aeb:Aeb:reaction=0.3"``; or an FMU or a program with a file of mutations:
         ``"fmu:aeb.fmu:mutations=mutations.toml"``. The mutants keep the sensors and the vehicle model of this driver.
     count : int
-        Number of mutants. A larger number returns the same mutants as a smaller number, and then further ones.
+        Number of mutants. A larger number returns the same mutants as a smaller number, and then further ones. There
+        are fewer if all parameters that are changed are whole numbers with few values.
     seed : int, default 0
         The same seed gives the same mutants.
 
@@ -94,7 +97,7 @@ def generate_mutants(driver: str, count: int, seed: int = 0) -> tuple[Mutant, ..
     Raises
     ------
     InputError
-        If there is no such driver, or no mutations of the driver are known.
+        If there is no such driver, or no mutations of the driver are known, or none of them changes a parameter.
 
     References
     ----------
@@ -118,23 +121,33 @@ def generate_mutants(driver: str, count: int, seed: int = 0) -> tuple[Mutant, ..
     ]
     mutations = [mutations[i] for i in rng.permutation(len(mutations))]
     starts = rng.random(len(mutations))
+    unchanged = {
+        mutation.parameter: _set_driver_option(driver, mutation.parameter, parameters[mutation.parameter])
+        for mutation in mutations
+    }
     mutants: dict[str, Mutant] = {}
     # Values are rounded to three digits, so some coincide; there are enough others.
     for round_number in range(2 * count):
         for mutation, start in zip(mutations, starts.tolist(), strict=True):
             severity = math.fmod(start + round_number * _GOLDEN_RATIO, 1.0)
-            value = float(f"{_mutate_value(mutation, parameters[mutation.parameter], severity):.3g}")
+            value = _mutate_value(mutation, parameters[mutation.parameter], severity)
             name = _set_driver_option(driver, mutation.parameter, value)
-            if value != parameters[mutation.parameter] and name not in mutants:
+            if name != unchanged[mutation.parameter] and name not in mutants:
                 mutants[name] = Mutant(name, mutation.description)
             if len(mutants) == count:
                 return tuple(mutants.values())
+    if not mutants:
+        raise InputError(
+            f"The driver '{driver}' has no mutants, as no mutation changes a parameter; a parameter of 0 needs an"
+            " increase, not a factor, and a whole number needs one that does not vanish by rounding."
+        )
     return tuple(mutants.values())
 
 
 def _mutate_value(mutation: Mutation, value: float, severity: float) -> float:
     amount: float = mutation.mild * (mutation.severe / mutation.mild) ** severity
-    return value + amount if mutation.is_offset else value * amount
+    mutated = float(f"{value + amount if mutation.is_offset else value * amount:.3g}")
+    return round(mutated) if isinstance(value, int) else mutated
 
 
 def _set_driver_option(driver: str, parameter: str, value: float) -> str:
@@ -154,15 +167,19 @@ def mutable_driver_name(driver: str | Driver | Mapping[str, object]) -> str:
     """Return the name of a driver that can have mutants: a user's class, FMU or program, or else the nearest preset.
 
     `driver` is a name, a driver, or a driver's settings as stored in a study. Names and stored settings may come from a
-    file, so code of users is not loaded for them. Raises `InputError` for a driver that cannot have mutants.
+    file, so only registered code of users is loaded for them. Raises `InputError` for a driver that cannot have
+    mutants.
     """
-    if isinstance(driver, Driver) and (own := user_driver_spec(driver)) is not None:
+    if (
+        not isinstance(driver, Mapping)
+        and (isinstance(driver, Driver) or may_be_named_in_file(driver))
+        and (own := user_driver_spec(driver)) is not None
+    ):
         _mutations_and_parameters(own)
         return own
-    inner = driver.driver if isinstance(driver, EquippedDriver) else driver
+    inner, equipment = _split_equipment(driver)
     if isinstance(inner, HasFileMutations):
-        equipment = driver.equipment if isinstance(driver, EquippedDriver) else ()
-        name = SEPARATOR.join([inner.spec_with({}), *map(str, equipment)])
+        name = SEPARATOR.join([inner.spec_with({}), *equipment])
         _mutations_and_parameters(name)
         return name
     if isinstance(driver, Mapping) and "sha256" in driver:
@@ -170,7 +187,27 @@ def mutable_driver_name(driver: str | Driver | Mapping[str, object]) -> str:
             f"The study stores only the name of the driver {driver.get('driver')}, but mutants need its code; give the"
             " driver with `drivers`."
         )
-    return nearest_preset_name(driver)
+    name = SEPARATOR.join([nearest_preset_name(inner), *equipment])
+    if not isinstance(driver, Driver) and not may_be_named_in_file(name):
+        raise InputError(
+            f"The driver '{name}' has no mutants, as a file may only name registered sensors and vehicle models with"
+            " numbers as options; give the driver with `drivers`."
+        )
+    return name
+
+
+def _split_equipment(
+    driver: str | Driver | Mapping[str, object],
+) -> tuple[str | Driver | Mapping[str, object], tuple[str, ...]]:
+    """Split a driver, or its settings as stored in a study, into the driver itself and the names of its equipment."""
+    if isinstance(driver, str):
+        return split_spec(driver)
+    if isinstance(driver, EquippedDriver):
+        return driver.driver, tuple(map(str, driver.equipment))
+    if isinstance(driver, Mapping) and isinstance(equipment := driver.get("equipment"), list | tuple):
+        inner = {key: value for key, value in driver.items() if key != "equipment"}
+        return str(inner["driver"]) if [*inner] == ["driver"] else inner, tuple(map(str, equipment))
+    return driver, ()
 
 
 def is_user_class_name(name: str) -> bool:
@@ -184,7 +221,7 @@ def _mutations_and_parameters(driver: str) -> tuple[Sequence[Mutation], dict[str
     if runs_program_or_file(name):
         attached = _create_with_file_mutations(name)
         return attached.file_mutations, _mutable_parameters(name, attached)
-    if is_registered_driver(name):
+    if is_registered_driver(name) and user_driver_spec(name) is None:
         return MUTATIONS, preset_parameters(name)
     created = driver_by_name(name)
     if not isinstance(created, Driver) or not created.mutations:
@@ -192,7 +229,12 @@ def _mutations_and_parameters(driver: str) -> tuple[Sequence[Mutation], dict[str
             f"The driver '{name}' has no mutants, as its class declares none; list what can be wrong in its attribute"
             " `mutations`."
         )
-    parameters = created.numeric_parameters()
+    made = created.prototype if isinstance(created, PerScenarioDriver) else created
+    whole = list_whole_number_option_names(type(made))
+    parameters = {
+        name: int(value) if name in whole and value.is_integer() else value
+        for name, value in created.numeric_parameters().items()
+    }
     for mutation in created.mutations:
         if mutation.parameter not in parameters:
             raise InputError(
