@@ -11,7 +11,9 @@ import pytest
 import cornercase as cc
 from conftest import EXAMPLES, ran, same_recording
 from cornercase.drivers import NORMAL, BehaviourDriver, Driver, EquippedDriver, ReferenceDriver, Sensor, VehicleModel
+from cornercase.drivers._driver_overview import describe_driver
 from cornercase.drivers._parameters import check_parameters, find_parameter, read_parameters, spec_with_values
+from cornercase.drivers._resolve import driver_by_name
 from cornercase.drivers.sensors._sensor import SensedObjects
 from cornercase.simulators import Builtin
 
@@ -190,6 +192,14 @@ def test_a_name_that_means_no_option_or_two_is_refused(names, sentence):
 def test_an_option_that_is_fixed_is_not_varied_too(driver):
     with pytest.raises(cc.InputError, match="is given with a fixed"):
         cc.simulate(X, {"Ego.after" if isinstance(driver, Brake) else "Ego.delay": 0.2}, drivers={"Ego": driver})
+
+
+def test_what_is_listed_as_searchable_can_be_searched():
+    name = "normal + radar:range=120 + lidar"
+    *_, line = describe_driver("Ego", name)
+    listed = line.partition("LOW:HIGH: ")[2].split(", ")
+    assert "lidar.range" in listed
+    check_parameters("Ego", driver_by_name(name), listed)
 
 
 @pytest.mark.parametrize("annotation", [int | None, Optional[int], "int | None", "Optional[int]", int])  # noqa: UP045

@@ -271,6 +271,7 @@ def test_landmarks_among_the_series_have_the_bits_of_the_matrix(window):
         ([[1.0]], [[1.0], [np.nan]], {}, "Landmark 1 is not finite at instant 0"),
         ([[1.0], [np.nan]], [[1.0]], {}, "Series 1 is not finite at instant 0"),
         ([[1.0]], [[[1.0, 2.0]]], {}, "Landmark 0 has 2 dimensions, but series 0 has 1"),
+        ([], [[1.0], [[1.0, 2.0]]], {}, "Landmark 1 has 2 dimensions, but landmark 0 has 1"),
         ([[0.0]], [[1.0], [1e300]], {"dtype": "float32"}, "Landmark 1 is too large for float32"),
         ([[1e200], [0.0]], [[0.0], [-1e200]], {"local_cost": "squared"}, "series 0 and landmark 0"),
     ],

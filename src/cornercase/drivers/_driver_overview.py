@@ -53,11 +53,10 @@ def _searchable_names(parts: Mapping[str, Any]) -> Iterator[str]:
     If several parts (driver, sensors, vehicle model) have the same option, the name starts with the part, as in
     ``radar.range``.
     """
-    numbers = {
-        part: [option for option in searchable_options(made) if option not in fixed_options(made)]
-        for part, made in parts.items()
-    }
+    numbers = {part: searchable_options(made) for part, made in parts.items()}
     counts = Counter(option for options in numbers.values() for option in options)
     for part, options in numbers.items():
+        fixed = fixed_options(parts[part])
         for option in options:
-            yield option if counts[option] == 1 else f"{part}.{option}"
+            if option not in fixed:
+                yield option if counts[option] == 1 else f"{part}.{option}"

@@ -32,7 +32,7 @@ class Body:
     max_steering : float
         Largest angle of the front wheels in rad.
     max_speed, max_acceleration, max_deceleration : float
-        Limits in m/s and m/s²; infinite if the file has none.
+        Limits in m/s and m/s²; infinite if the scenario file has none, but 0 for the speed of a misc object.
 
     Examples
     --------

@@ -42,7 +42,7 @@ class Ego:
     max_steering : float
         Largest angle of the front wheels in rad.
     max_speed, max_acceleration, max_deceleration : float
-        Limits in m/s and m/s²; infinite if the scenario file has none.
+        Limits in m/s and m/s²; infinite if the scenario file has none, but 0 for the speed of a misc object.
     values : mapping of str to object
         Values that are set for parameters of the scenario file in this scenario, by name. Parameters that are left out
         have the value in the file.

@@ -303,8 +303,9 @@ def _validate_series(
 ) -> list[npt.NDArray[np.float64]]:
     """Return the series as finite arrays of shape (T_i, k); raise `InputError` if a series is invalid.
 
-    `dims` is the number of dimensions k if it is already known; otherwise the first series determines it.
+    `dims` is the number of dimensions k if other series are already known; otherwise the first one determines it.
     """
+    first = f"{name.lower()} 0" if dims is None else "series 0"
     arrays: list[npt.NDArray[np.float64]] = []
     for index, values in enumerate(series):
         try:
@@ -323,7 +324,7 @@ def _validate_series(
         dims = array.shape[1] if dims is None else dims
         if array.shape[1] != dims:
             raise InputError(
-                f"{name} {index} has {array.shape[1]} dimensions, but series 0 has {dims}; use the same number for all."
+                f"{name} {index} has {array.shape[1]} dimensions, but {first} has {dims}; use the same number for all."
             )
         if dims > MAX_DIMENSIONS:
             raise InputError(f"{name} {index} has {dims} dimensions; at most {MAX_DIMENSIONS} are supported.")

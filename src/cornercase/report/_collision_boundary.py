@@ -19,11 +19,12 @@ class BoundaryPair:
 
 
 def find_collision_boundary(data: ReportData, count: int) -> list[BoundaryPair]:
-    """Find the `count` pairs of a scenario with and a scenario without a collision that are nearest in the unit cube.
+    """Find up to `count` pairs of a scenario and the nearest one with the other outcome: collision or none.
 
-    No scenario is in two pairs, so there may be fewer pairs. The result is empty if all scenarios have a collision, if
-    no scenario has one, or if the space was not explored. All parameters have the same weight, since a parameter that
-    hardly changes the score may still decide about a collision.
+    Distances are those in the unit cube, and the nearest pairs come first. Only the nearest scenario is considered, and
+    no scenario is in two pairs, so there may be fewer than `count`. The result is empty if all scenarios have a
+    collision, if no scenario has one, or if the space was not explored. All parameters have the same weight, since a
+    parameter that hardly changes the score may still decide about a collision.
     """
     if not data.summary.represents_space:
         return []
