@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from contextlib import suppress
@@ -48,6 +49,19 @@ def of(recording, entity):
     return {name: getattr(recording, name)[k] for name in ("x", "y", "heading", "speed", "acceleration")}
 
 
+def t_intersection_with_ego_at(tmp_path, start, routing=r"\g<0>"):
+    """Copy the T-intersection without an end, and with another place and route for the ego."""
+    before, _, story = T.read_text().partition('<Private entityRef="Ego">')
+    ego, _, rest = story.partition("</Private>")
+    ego = re.sub("<LanePosition .*?/>", start, ego, count=1)
+    ego = re.sub("<RoutingAction>.*</RoutingAction>", routing, ego, flags=re.DOTALL)
+    rest = rest[: rest.rindex("<StopTrigger>")] + "<StopTrigger/></Storyboard></OpenSCENARIO>"
+    path = tmp_path / T.name
+    path.write_text(f'{before}<Private entityRef="Ego">{ego}</Private>{rest}')
+    (tmp_path / "t_intersection.xodr").write_bytes(T.with_suffix(".xodr").read_bytes())
+    return path
+
+
 @pytest.mark.parametrize("kind", ["cautious", "normal", "aggressive"])
 def test_the_ego_drives_its_way_as_fast_as_it_is_asked_to(kind):
     recording = run(T, {"c_start_time": 5.0}, drivers={"Ego": kind}, on_collision="stop")
@@ -62,6 +76,40 @@ def test_the_ego_drives_its_way_as_fast_as_it_is_asked_to(kind):
         # It has turned right and arrived.
         assert ego["heading"][-1] == pytest.approx(0.0, abs=0.05)
         assert ego["y"][-1] == pytest.approx(-1.75, abs=0.1)
+
+
+def test_a_vehicle_stays_at_the_end_of_its_way(tmp_path):
+    path = t_intersection_with_ego_at(tmp_path, '<LanePosition roadId="2" laneId="1" s="10"/>')
+    ego = of(run(path, {}, drivers={"Ego": "normal"}, duration=4.0), "Ego")
+    assert ego["x"][0] == pytest.approx(152.0, abs=0.05)
+    assert 156.0 < ego["x"][-1] < 162.0
+    assert (ego["x"][-20:] == ego["x"][-1]).all()
+    assert ego["speed"][-1] == 0.0
+
+
+# On the way to the right, and where the ways to the right and to the left begin on top of each other.
+@pytest.mark.parametrize(("road", "s", "way"), [(206, 8.0, 1.0), (205, 0.5, -1.0)])
+def test_a_vehicle_may_start_on_a_junction(tmp_path, road, s, way):
+    path = t_intersection_with_ego_at(tmp_path, f'<LanePosition roadId="{road}" laneId="-1" s="{s}"/>')
+    ego = of(run(path, {}, drivers={"Ego": "normal"}, duration=4.0), "Ego")
+    assert np.hypot(np.diff(ego["x"]), np.diff(ego["y"])).max() < 2.0
+    assert np.cos(ego["heading"][-1]) == pytest.approx(way, abs=0.05)
+
+
+def test_a_vehicle_ignores_a_trajectory(tmp_path):
+    vertices = "".join(
+        f'<Vertex time="{y / 10.0}"><Position><WorldPosition x="{1.75 + y}" y="{-92.0 + y}" h="0.8"/></Position></Vertex>'
+        for y in (0.0, 50.0)
+    )
+    trajectory = f"""<RoutingAction><FollowTrajectoryAction>
+        <TrajectoryRef><Trajectory name="t" closed="false"><Shape><Polyline>{vertices}</Polyline></Shape></Trajectory></TrajectoryRef>
+        <TimeReference><None/></TimeReference><TrajectoryFollowingMode followingMode="position"/>
+        </FollowTrajectoryAction></RoutingAction>"""
+    start = '<LanePosition roadId="3" laneId="-1" s="20"/>'
+    path = t_intersection_with_ego_at(tmp_path, start, trajectory)
+    ego = of(run(path, {}, drivers={"Ego": "normal"}, duration=4.0), "Ego")
+    assert ego["x"] == pytest.approx(1.75, abs=0.1)
+    assert ego["y"][-1] == pytest.approx(-52.0, abs=2.0)
 
 
 def test_tempers_differ():
@@ -162,6 +210,10 @@ def test_the_network_is_the_scenarios(tmp_path, monkeypatch):
     stamp = first.stat().st_mtime_ns
     assert find_or_convert_network(ScenarioFile.read(T)) == first
     assert first.stat().st_mtime_ns == stamp
+    with monkeypatch.context() as context:
+        # Another SUMO may convert the roads in another way.
+        context.setattr("cornercase.simulators.sumo._network.version", lambda package: "0.1")
+        assert find_or_convert_network(ScenarioFile.read(T)) != first
     given = tmp_path / "own.net.xml"
     given.write_bytes(first.read_bytes())
     assert find_or_convert_network(ScenarioFile.read(T), str(given)) == given
@@ -176,6 +228,8 @@ def test_refuses_in_one_sentence(tmp_path, monkeypatch):
         Sumo(seed=-1)
     with pytest.raises(InputError, match="did you mean 'aggressive'"):
         run(T, {}, drivers={"Ego": "agressive"})
+    with pytest.raises(InputError, match="known are: aggressive, cautious, cc-human"):
+        run(T, {}, drivers={"Ego": "xyz"})
     bare = tmp_path / "bare.xosc"
     bare.write_text(X.read_text().replace('<LogicFile filepath="x_intersection.xodr"/>', ""))
     with pytest.raises(InputError, match="no road network"):

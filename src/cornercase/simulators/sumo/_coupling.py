@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import math
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Any, Final, Self
@@ -16,6 +16,7 @@ import numpy as np
 from cornercase._common.errors import SimulationError
 from cornercase._common.geometry.boxes import wrap_angle
 from cornercase.simulators.builtin.tracks._lane import LaneTrack
+from cornercase.simulators.builtin.world._road_position import is_heading_along_road, road_pose
 from cornercase.simulators.builtin.world._track_motion import move_to_pose
 from cornercase.simulators.builtin.world._world import Entity, World
 
@@ -103,15 +104,15 @@ class SumoCoupling:
             if dt == 0.0:
                 return
             for e, name in self._added.items():
-                if name in self._types:
-                    self._set_max_speed(world, e, name)
-                else:
+                if name not in self._types:
                     self._move_in_sumo(world, e, name, dt)
+                elif name in self._sumo.vehicle.getIDList():
+                    self._set_max_speed(world, e, name)
             self._sumo.simulationStep()
             for e, name in self._added.items():
                 if name in self._types:
                     self._move_from_sumo(world, e, name)
-        except self._sumo.TraCIException as error:
+        except (self._sumo.TraCIException, SimulationError) as error:
             self.error = SimulationError(f"SUMO fails at {world.time[0]:.6g} s ({error})")
             world.running[:] = False
 
@@ -122,11 +123,12 @@ class SumoCoupling:
         start, end = self._route_ends(world, e)
         route = sumo.simulation.findRoute(start[0], end[0]).edges or (start[0],)
         sumo.route.add(f"route {name}", route)
+        edge_position = min(start[1], sumo.lane.getLength(f"{start[0]}_{start[2]}"))
         sumo.vehicle.add(
-            name, f"route {name}", typeID=vehicle_type, departLane=str(start[2]), departPos=f"{start[1]:.6f}",
+            name, f"route {name}", typeID=vehicle_type, departLane=str(start[2]), departPos=f"{edge_position:.6f}",
         )  # fmt: skip
         # Insert it at once, even if another vehicle is there.
-        sumo.vehicle.moveTo(name, f"{start[0]}_{start[2]}", start[1])
+        sumo.vehicle.moveTo(name, *self._lane_position(start, route))
         # As a departure speed, SUMO would refuse what is above the limit of the road.
         sumo.vehicle.setPreviousSpeed(name, max(float(world.speed[e, 0]), 0.0))
         if name in self._types:
@@ -154,19 +156,51 @@ class SumoCoupling:
     def _route_ends(self, world: World, e: int) -> tuple[tuple[str, float, int], tuple[str, float, int]]:
         """Return the start and the end of an entity's route, each as edge, position in m and lane.
 
-        The route starts at the front of the entity.
+        The route starts at the front of the entity. If SUMO drives an entity whose front is on a junction, that is a
+        position beyond the end of the edge before the junction.
         """
         x, y = self._front_position(world, e)
         begin = self._sumo.simulation.convertRoad(x, y)
-        track = self._lane_track_of(world, e)
-        if track is None or begin[0].startswith(":"):
+        is_driven = world.entities[e].name in self._types
+        track = self._lane_track_of(world, e) or (_lane_track_here(world, e) if is_driven else None)
+        if is_driven and begin[0].startswith(":"):
+            begin = self._start_before_junction(world, e, track)
+        elif not is_driven and (track is None or begin[0].startswith(":")):
             # It may start on a junction. Its position is set in each step, so any edge will do.
             any_edge = next(edge for edge in self._sumo.edge.getIDList() if not edge.startswith(":"))
             return (any_edge, 0.0, 0), (any_edge, 0.0, 0)
         # The very end of a path may be just outside the network.
-        end_s = np.array([max(track.length - 1.0, 0.0)])
-        end_x, end_y, _ = track.pose_at(end_s, np.zeros(1), np.zeros(1, dtype=np.int64))
-        return begin, self._sumo.simulation.convertRoad(float(end_x[0]), float(end_y[0]))
+        return begin, begin if track is None else self._locate_on_track(track, max(track.length - 1.0, 0.0))
+
+    def _start_before_junction(self, world: World, e: int, track: LaneTrack | None) -> tuple[str, float, int]:
+        """Return the front of an entity on a junction as edge before the junction, position beyond its end and lane."""
+        if track is not None:
+            x, y = self._front_position(world, e)
+            front = float(track.nearest_distance(np.array([x]), np.array([y]), np.zeros(1, dtype=np.int64))[0])
+            for distance in np.arange(front, 0.0, -1.0).tolist():
+                edge, position, lane = self._locate_on_track(track, distance)
+                if not edge.startswith(":"):
+                    return edge, position + front - distance, lane
+        raise SimulationError(f"{world.entities[e].name} starts on a junction, and on no lane that leads there")
+
+    def _locate_on_track(self, track: LaneTrack, distance: float) -> tuple[str, float, int]:
+        """Return the edge, the position in m and the lane at a distance in m along a track."""
+        x, y, _ = track.pose_at(np.array([distance]), np.zeros(1), np.zeros(1, dtype=np.int64))
+        road: tuple[str, float, int] = self._sumo.simulation.convertRoad(float(x[0]), float(y[0]))
+        return road
+
+    def _lane_position(self, start: tuple[str, float, int], route: Sequence[str]) -> tuple[str, float]:
+        """Return the lane and the position in m at a start of a route, which may be beyond the end of its first edge.
+
+        Beyond that end, the route leads along the lanes of a junction to its second edge.
+        """
+        lane, position = f"{start[0]}_{start[2]}", start[1]
+        while position > (length := self._sumo.lane.getLength(lane)):
+            links = [link for link in self._sumo.lane.getLinks(lane) if link[0].rpartition("_")[0] in route[1:2]]
+            if not links or not links[0][4]:
+                return lane, length
+            lane, position = links[0][4], position - length
+        return lane, position
 
     def _lane_track_of(self, world: World, e: int) -> LaneTrack | None:
         k = int(world.track[e, 0])
@@ -249,6 +283,17 @@ class SumoCoupling:
             world.running,
         )
         world.speed[e] = sumo.vehicle.getSpeed(name)
+
+
+def _lane_track_here(world: World, e: int) -> LaneTrack | None:
+    """Return the track along the lane at an entity, in the direction of its heading; None if there is no lane."""
+    if world.network is None:
+        return None
+    pose = road_pose(world, e)
+    road, lane, s = pose.road_coordinates()
+    along = bool(is_heading_along_road(world, pose)[0])
+    route = world.routes[int(world.route[e, 0])]
+    return LaneTrack.from_lane(world.network, int(road[0]), int(lane[0]), float(s[0]), along, route)
 
 
 def _format_vehicle_types() -> str:

@@ -6,6 +6,7 @@ import hashlib
 import subprocess
 import tempfile
 from collections.abc import Mapping
+from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Final
@@ -26,7 +27,7 @@ def find_or_convert_network(
 ) -> Path:
     """Return a scenario's SUMO network: `network_file`, or else a network converted from OpenDRIVE.
 
-    The converted network is cached by the checksum of the OpenDRIVE file.
+    The converted network is cached by the checksum of the OpenDRIVE file and the version of SUMO.
     """
     if network_file is not None:
         if not Path(network_file).is_file():
@@ -42,7 +43,7 @@ def find_or_convert_network(
         )
     content = read_file(roads)
     key = hashlib.sha256(content).hexdigest()[:32]
-    cached = user_cache_folder() / "cornercase" / "sumo" / f"{key}.net.xml"
+    cached = user_cache_folder() / "cornercase" / "sumo" / f"{key}-{version('libsumo')}.net.xml"
     if not cached.exists():
         with atomic_write(cached) as temporary:
             _convert_roads(roads, content, temporary)

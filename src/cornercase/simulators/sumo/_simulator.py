@@ -207,7 +207,7 @@ class Sumo(Simulator):
                     " another driver."
                 )
             if driver not in VEHICLE_TYPES and not is_registered_driver(driver):
-                hint = suggest_name(driver.partition(":")[0], (*VEHICLE_TYPES, *DRIVERS.names()))
+                hint = suggest_name(driver.partition(":")[0], {*VEHICLE_TYPES, *DRIVERS.names()})
                 raise InputError(f"{scenario.path}: '{name}' asks for the driver '{driver}'; {hint}")
         return {
             name: driver for name, driver in all_drivers.items() if isinstance(driver, str) and driver in VEHICLE_TYPES
