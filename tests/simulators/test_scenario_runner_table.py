@@ -439,6 +439,22 @@ def test_on_a_map_of_carla_what_needs_a_trajectory_is_refused(write, tmp_path):
         convert(path, tmp_path / "one.xosc", ego="Ego")
 
 
+def test_on_a_map_of_carla_who_waits_for_what_is_left_out_is_refused(write, tmp_path):
+    waits = when(
+        '<StoryboardElementStateCondition storyboardElementType="event" storyboardElementRef="of ego"'
+        ' state="completeState"/>'
+    )
+    path = write(condition=waits, drivers=DRIVEN)
+    text = path.read_text().replace('filepath="road.xodr"', 'filepath="Town01"')
+    group = re.search("<ManeuverGroup.*</ManeuverGroup>", text, re.DOTALL)
+    assert group is not None
+    of_ego = group[0].replace('"Other"', '"Ego"').replace('name="e"', 'name="of ego"')
+    of_ego = of_ego.replace(speed(), OFFSET).replace(waits, when())
+    path.write_text(text.replace(group[0], of_ego + group[0]))
+    with pytest.raises(InputError, match=r"the motion of 'Other' \(it waits for events that are left out.*Town01"):
+        convert(path, tmp_path / "one.xosc", ego="Ego")
+
+
 @pytest.mark.parametrize(
     ("action", "name"),
     [
@@ -543,6 +559,21 @@ def test_an_entity_jumps_and_vanishes_when_its_trajectory_does(monkeypatch):
     control.run_step()
 
 
+def test_a_walker_stays_where_it_is_put(monkeypatch):
+    clock = SimpleNamespace(now=0.0)
+    made = control_of(monkeypatch, clock)
+    walker = Walking()
+    parts = [[[0.0, 0.0, 0.0, 0.0], [0.1, 0.1, 0.0, 0.0]], [[0.1, 50.0, 0.0, 0.0], [0.4, 50.3, 0.0, 0.0]]]
+    control = made(walker, {"parts": json.dumps(parts), "starts": "[-1.0, 0.075]"})
+    seen = []
+    for _ in range(4):
+        control.run_step()
+        walker.move(0.05)
+        seen.append(round(walker.x, 6))
+        clock.now += 0.05
+    assert seen == [0.05, 0.1, 50.05, 50.1]
+
+
 class Body:
     """A vehicle that moves with the velocities it is given."""
 
@@ -574,6 +605,16 @@ class Body:
     def move(self, step):
         self.x, self.y = self.x + step * self.velocity[0], self.y + step * self.velocity[1]
         self.yaw += step * self.turning
+
+
+class Walking(Body):
+    """A walker, which walks on in the direction and with the speed that it was told last."""
+
+    def set_transform(self, there):
+        self.x, self.y = there.location.x, there.location.y
+
+    def apply_control(self, control):
+        self.velocity = (control.direction.x * control.speed, control.direction.y * control.speed)
 
 
 class Vector(SimpleNamespace):
@@ -608,9 +649,10 @@ def control_of(monkeypatch, clock):
     for package in ("srunner", "srunner.scenariomanager", "srunner.scenariomanager.actorcontrols"):
         module(package)
     module(
-        "carla", Vehicle=Body, Walker=int, Vector3D=Vector, Location=Vector,
+        "carla", Vehicle=Body, Walker=Walking, Vector3D=Vector, Location=Vector,
         Transform=lambda location, rotation: SimpleNamespace(location=location, rotation=rotation),
         Rotation=lambda pitch, yaw, roll: SimpleNamespace(pitch=pitch, yaw=yaw, roll=roll),
+        WalkerControl=lambda direction, speed, jump: SimpleNamespace(direction=direction, speed=speed, jump=jump),
     )  # fmt: skip
     module("srunner.scenariomanager.actorcontrols.basic_control", BasicControl=Basic)
     module("srunner.scenariomanager.carla_data_provider", CarlaDataProvider=Provider)

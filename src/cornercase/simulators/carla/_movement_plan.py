@@ -79,17 +79,18 @@ def plan_movements(
             reasons.append(deviations[name])
         if _has_cornercase_driver(root, name):
             reasons.append("it has a driver of cornercase")
-        if carla_map_name and name in result.sampled:
-            raise InputError(
-                f"{source}: ScenarioRunner cannot execute the motion of '{name}' ({result.sampled[name][0]}). To"
-                f" replace this motion by a trajectory, cornercase needs the road file of {carla_map_name};"
-                f" {describe_how_to_get_map(carla_map_name)}."
-            )
         if reasons and name not in reacting and not carla_map_name:
             result.sampled.setdefault(name, []).extend(reasons)
         elif reasons and name not in result.sampled:
             result.notes += [f"{name}: {reason}." for reason in dict.fromkeys(reasons)]
     _plan_trajectories_of_waiting_entities(root, parts, result, driven)
+    if carla_map_name and result.sampled:
+        name, reasons = next(iter(result.sampled.items()))
+        raise InputError(
+            f"{source}: ScenarioRunner cannot execute the motion of '{name}' ({reasons[0]}). To replace this motion by"
+            f" a trajectory, cornercase needs the road file of {carla_map_name};"
+            f" {describe_how_to_get_map(carla_map_name)}."
+        )
     result.notes += [
         f"{name} moves along a trajectory of the builtin simulator, as {'; '.join(dict.fromkeys(reasons))}."
         for name, reasons in result.sampled.items()

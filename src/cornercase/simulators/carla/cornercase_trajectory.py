@@ -93,6 +93,7 @@ class CornercaseTrajectory(BasicControl):  # type: ignore[misc]
             transform = self._actor.get_transform()
             transform.location.x, transform.location.y = transform.location.x + dx, transform.location.y + dy
             self._actor.set_transform(transform)
+            distance = 0.0
         direction = (
             carla.Vector3D(dx / distance, dy / distance, 0.0) if distance > 1e-4 else carla.Vector3D(1.0, 0.0, 0.0)
         )
