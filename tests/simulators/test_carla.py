@@ -6,6 +6,7 @@ With CARLA_HOST set to a host or host:port, the tests of runs use the CARLA that
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -326,6 +327,17 @@ def test_the_latest_scenario_runner_up_to_the_clients_version_is_advised(client,
         RunnerEnvironment(tmp_path, "python", "").check_versions(client, client, "localhost:2000")
 
 
+@pytest.mark.parametrize(("client", "release"), [("0.9.14", "0.9.13"), ("0.9.15-dirty", "0.9.15")])
+def test_a_scenario_runner_that_is_there_is_not_advised(client, release, tmp_path):
+    (tmp_path / "Docs").mkdir()
+    (tmp_path / "Docs" / "CHANGELOG.md").write_text(f"## CARLA ScenarioRunner {release}\n")
+    words = (
+        f"ScenarioRunner {release} does not fit CARLA {client}; use CARLA {release}; with `simulator` carla:any_version"
+    )
+    with pytest.raises(InputError, match=words):
+        RunnerEnvironment(tmp_path, "python", "").check_versions(client, client, "localhost:2000")
+
+
 def test_a_python_without_carlas_client_is_said(tmp_path, monkeypatch):
     monkeypatch.setenv("SCENARIO_RUNNER_ROOT", str(RUNNER))
     bare = tmp_path / "bare"
@@ -501,6 +513,23 @@ def test_a_parameter_that_an_agent_overrides_is_named(given, said):
     simulator.on_notice = noticed.append
     simulator.check_supported(ScenarioFile.read(T))
     assert [one.partition(", as an agent drives")[0] for one in noticed] == [f"the parameter {one}" for one in said]
+
+
+def test_a_parameter_that_counts_all_the_same_is_not_named(tmp_path):
+    path = tmp_path / T.name
+    declared = '<ParameterDeclarations><ParameterDeclaration name="start" parameterType="double" value="20"/>'
+    condition = """<ConditionGroup><Condition name="fast" delay="0" conditionEdge="none"><ByValueCondition>
+        <ParameterCondition parameterRef="ego_speed" value="99" rule="greaterThan"/></ByValueCondition></Condition>
+        </ConditionGroup></StopTrigger></Storyboard>"""
+    before, ego, story = T.read_text().replace("<ParameterDeclarations>", declared, 1).partition('entityRef="Ego"')
+    story = re.sub(r"</StopTrigger>\s*</Storyboard>", condition, story.replace('s="20"', 's="$start"', 1))
+    path.write_text(f"{before}{ego}{story}")
+    # Another program drives the ego, from where the scenario says.
+    simulator = Carla(scenario_runner=str(RUNNER), undriven=True, external_ego=True)
+    noticed: list[str] = []
+    simulator.on_notice = noticed.append
+    simulator.check_supported(ScenarioFile.read(path))
+    assert noticed == []
 
 
 def test_what_carla_cannot_do_is_refused_before_there_is_a_study(tmp_path):

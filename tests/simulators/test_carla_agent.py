@@ -263,9 +263,10 @@ def test_what_carla_cannot_do_with_a_driver_is_refused(tmp_path):
 
     assert "Drivers that are no behaviour agents can drive the ego (Ego) only." in refused(drivers={"C": Aeb()})
     (tmp_path / "agent.py").write_text("")
-    assert "already drives the ego; leave out this driver or the agent" in refused(
-        drivers={"Ego": Aeb()}, agent=str(tmp_path / "agent.py")
-    )
+    for driver in (Aeb(), "normal"):
+        assert "already drives the ego; leave out this driver or the agent" in refused(
+            drivers={"Ego": driver}, agent=str(tmp_path / "agent.py")
+        )
 
 
 def test_a_study_stores_the_driver(monkeypatch):

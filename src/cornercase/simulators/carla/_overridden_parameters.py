@@ -11,6 +11,7 @@ from lxml import etree
 from cornercase.scenario._file import ScenarioFile
 
 _REFERENCE_PATTERN: Final = re.compile(r"\$(\w+)")
+_POSITION: Final = ("TeleportAction",)
 _ROUTE_OR_POSITION: Final = ("TeleportAction", "RoutingAction")
 
 
@@ -19,8 +20,8 @@ def describe_overridden_parameters(
 ) -> Iterator[str]:
     """Yield a sentence on each parameter that has little or no effect because a driver moves the entity instead.
 
-    `driven`: entities with a driver. `externally`: driven entities that take neither the first speed nor the route from
-    the scenario. `obeying`: driven entities whose drivers keep the first speed of the scenario.
+    `driven`: entities with a driver. `externally`: driven entities that take only their initial position from the
+    scenario. `obeying`: driven entities whose drivers keep the first speed of the scenario.
     """
     names = {
         element.get("name", "") for element in scenario.root.iterfind("ParameterDeclarations/ParameterDeclaration")
@@ -29,7 +30,10 @@ def describe_overridden_parameters(
     first_speeds: dict[str, set[str]] = {}
     effective: set[str] = set()
     for element in scenario.root.iter("*"):
-        used = names & {name for text in element.attrib.values() for name in _REFERENCE_PATTERN.findall(str(text))}
+        used = {name for text in element.attrib.values() for name in _REFERENCE_PATTERN.findall(str(text))}
+        if element.tag == "ParameterCondition":
+            used.add(element.get("parameterRef", ""))
+        used &= names
         if not used:
             continue
         entity, is_speed = _find_overriding_entity(element, driven)
@@ -38,7 +42,7 @@ def describe_overridden_parameters(
         elif is_speed and entity not in externally:
             for name in used:
                 first_speeds.setdefault(name, set()).add(entity)
-        elif entity in externally or not _is_route_or_position(element):
+        elif not _is_in_initial_action(element, _POSITION if entity in externally else _ROUTE_OR_POSITION):
             for name in used:
                 overridden.setdefault(name, set()).add(entity)
         else:
@@ -67,7 +71,7 @@ def _find_overriding_entity(element: etree._Element, driven: Collection[str]) ->
     return (actors[0], False) if actors and all(actor in driven for actor in actors) else ("", False)
 
 
-def _is_route_or_position(element: etree._Element) -> bool:
-    """Return whether an element belongs to the initial position or the first route of an entity."""
+def _is_in_initial_action(element: etree._Element, tags: Collection[str]) -> bool:
+    """Return whether an element belongs to an initial action of an entity with one of the given tags."""
     is_initial = next(element.iterancestors("Private"), None) is not None
-    return is_initial and next(element.iterancestors(*_ROUTE_OR_POSITION), None) is not None
+    return is_initial and next(element.iterancestors(*tags), None) is not None

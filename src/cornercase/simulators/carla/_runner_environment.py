@@ -93,9 +93,12 @@ class RunnerEnvironment:
                 key=_version_numbers,
                 default=VERSIONS[0],
             )
+            steps = [] if self.version == release else [f"get {release} {describe_download(release)}"]
+            if client != release:
+                steps.append(f"use CARLA {release}")
             raise InputError(
-                f"{self.folder}: ScenarioRunner {self.version} does not fit CARLA {client}; get {release}"
-                f" {describe_download(release)}{any_version}"
+                f"{self.folder}: ScenarioRunner {self.version} does not fit CARLA {client}; {', and '.join(steps)}"
+                f"{any_version}"
             )
 
 

@@ -200,12 +200,13 @@ class Carla(Simulator):
         self._runner: RunnerProcess | None = None
         self._folder = folder
         self._last_scenario: ScenarioFile | None = None
-        if self._attached is not None and agent:
+        has_driver = self._attached is not None or ego in self._drivers
+        if has_driver and agent:
             raise InputError(
                 f"`drivers` {ego}: the agent {agent} already drives the ego; leave out this driver or the agent."
             )
         self._external_ego = bool(external_ego)
-        if self._external_ego and (agent or self._attached is not None or ego in self._drivers):
+        if self._external_ego and (agent or has_driver):
             raise InputError(f"external_ego: {ego} already has an agent or a driver; leave out that or external_ego.")
         self._agent = None if not agent else _existing_file(agent, "agent")
         self._agent_config = None if not agent_config else _existing_file(agent_config, "agent_config")
