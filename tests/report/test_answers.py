@@ -52,6 +52,18 @@ def test_what_to_drive_on_the_track_lies_beside_a_collision(crossing):
     assert "--one-page" in told.points[1]
 
 
+def test_a_collision_with_an_entity_that_is_not_measured_is_none_of_the_answers(tmp_path, x_intersection):
+    cc.explore(
+        x_intersection, tmp_path / "s.db", ego="Ego", other="Truck", metrics=["wttc"], optimizer="sobol", budget=32
+    )
+    with StudyFile.open(tmp_path / "s.db", readonly=True) as study:
+        data = read_report_data(study, charts=False)
+    assert data.summary.unmeasured_collisions.keys() == {"Pedestrian"}
+    assert answer(data, "collisions").text.startswith("No: Ego touches Truck in none of the 32 scenarios.")
+    assert data.summary.faults == {}
+    assert "collision, to the developer" not in answer(data, "next").text
+
+
 def test_the_ranges_and_what_was_held_fixed_stand_beside_what_is_missed(crossing):
     searched, fixed, *_ = answer(crossing, "missed").points
     assert all(f"{one.name} {format_range(one)}" in searched for one in crossing.parameters)

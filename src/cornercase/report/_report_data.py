@@ -84,17 +84,21 @@ class ReportData:
 
     @cached_property
     def hardest_impacts(self) -> dict[int, Impact]:
-        """Fastest collision of the ego in each scenario with a collision, by id."""
-        return {
-            scenario: max(hits, key=lambda impact: np.nan_to_num(impact.speed))
-            for scenario, hits in self.impacts.items()
-            if hits
-        }
+        """Fastest collision of the ego with any entity in each scenario with a collision, by id."""
+        return _find_hardest_impacts(self.impacts)
+
+    @cached_property
+    def hardest_measured_impacts(self) -> dict[int, Impact]:
+        """Fastest collision of the ego with an entity that the metrics consider, by id of the scenario."""
+        others = self.summary.meta.others
+        return _find_hardest_impacts(
+            {scenario: [hit for hit in hits if hit.entity in others] for scenario, hits in self.impacts.items()}
+        )
 
     @property
     def hardest_first(self) -> list[tuple[int, Impact]]:
-        """Fastest collision of the ego in each scenario with a collision: pairs of id and collision, fastest first."""
-        return sorted(self.hardest_impacts.items(), key=lambda item: (-np.nan_to_num(item[1].speed), item[0]))
+        """Items of `hardest_measured_impacts`, pairs of id and collision, the fastest collision first."""
+        return sorted(self.hardest_measured_impacts.items(), key=lambda item: (-np.nan_to_num(item[1].speed), item[0]))
 
     def metric_for_aspect(self, aspect: str) -> Metric:
         """Return the metric with the same name as an aspect (what scenarios are compared by), else the first metric."""
@@ -187,6 +191,14 @@ def read_report_data(
         fixed_parameters=_read_fixed_parameters(study),
         region=add_road_margin(region),
     )
+
+
+def _find_hardest_impacts(impacts: Mapping[int, Sequence[Impact]]) -> dict[int, Impact]:
+    return {
+        scenario: max(hits, key=lambda impact: np.nan_to_num(impact.speed))
+        for scenario, hits in impacts.items()
+        if hits
+    }
 
 
 def _read_fixed_parameters(study: StudyFile) -> dict[str, str]:

@@ -47,7 +47,7 @@ def scenario_table_payload(data: ReportData) -> dict[str, Any]:
     selected = set() if data.summary.reduced_set is None else set(data.summary.reduced_set.ids)
     outcomes = data.outcomes
     outcome_names = sorted(set(outcomes.values()))
-    culprits = {scenario: _culprit(meta.ego, impact) for scenario, impact in data.hardest_impacts.items()}
+    culprits = {scenario: _culprit(meta.ego, impact) for scenario, impact in data.hardest_measured_impacts.items()}
     culprit_names = sorted({name for name in culprits.values() if name is not None})
     against = [
         [data.score_sources[metric.name].get(row.id) for metric in data.metrics]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
 from typing import Any, Final, get_args
@@ -123,8 +123,9 @@ class Summary:
     n_collisions : int
         Number of scenarios in which the ego collides with one of the entities that the metrics consider.
     faults : mapping of str to int
-        Number of scenarios in which the ego collides, by who is at fault for its first collision: ``"ego"``,
-        ``"other"``, ``"both"``, ``"undecided"``. Empty without collisions, and in a study of an early version.
+        Number of scenarios in which the ego collides with one of the entities that the metrics consider, by who is at
+        fault for the first such collision: ``"ego"``, ``"other"``, ``"both"``, ``"undecided"``. Empty without such
+        collisions, and in a study of an early version.
     unmeasured_collisions : mapping of str to int
         Number of scenarios in which the ego collides with an entity that the metrics do not consider, by entity.
     metrics : mapping of str to MetricSummary
@@ -259,7 +260,7 @@ def summarize_with_collisions(
         n_failed=states.count("failed"),
         n_pending=states.count("pending"),
         n_collisions=sum(not names.isdisjoint(others) for names in entities_hit),
-        faults=_count_faults(impacts),
+        faults=_count_faults(impacts, others),
         unmeasured_collisions={
             name: sum(name in names for names in entities_hit)
             for name in sorted(frozenset().union(*entities_hit) - others)
@@ -280,9 +281,10 @@ def summarize_with_collisions(
     )
 
 
-def _count_faults(impacts: Sequence[Sequence[Impact]]) -> dict[str, int]:
-    """Count the scenarios in which the ego collides, by who is at fault for the ego's first collision."""
-    first = [hits[0].fault for hits in impacts if hits]
+def _count_faults(impacts: Sequence[Sequence[Impact]], others: Collection[str]) -> dict[str, int]:
+    """Count the scenarios in which the ego collides with one of `others`, by who is at fault for the first such hit."""
+    measured = [[hit.fault for hit in hits if hit.entity in others] for hits in impacts]
+    first = [faults[0] for faults in measured if faults]
     counts = Counter(fault.who for fault in first if fault is not None)
     return {who: counts[who] for who in get_args(Culprit)} if counts else {}
 
