@@ -12,6 +12,7 @@ from xml.sax.saxutils import quoteattr
 import cornercase as cc
 from conftest import EXAMPLES
 from cornercase.study import StudyFile
+from helpers.joint_values import joint_values
 from helpers.synthetic_study import SPACE, about, explorer
 
 # What would be run, end a script or break an attribute if a page took a name for HTML; a slash can be in no file's name.
@@ -46,6 +47,18 @@ def make_plain(folder: Path) -> Path:
     )
     cc.analyze(path)
     cc.reduce(path, folder / "reduced", size=8)
+    return path
+
+
+def make_together(folder: Path) -> Path:
+    """Values that are set together, and an option of the driver; analysed and reduced."""
+    path = folder / "study.db"
+    cc.explore(
+        joint_values(folder), path, ego="Ego", other="Pedestrian", metrics=METRICS, optimizer="sobol", budget=26,
+        drivers={"Ego": "normal"},
+    )  # fmt: skip
+    cc.analyze(path)
+    cc.reduce(path, folder / "reduced", size=4)
     return path
 
 
@@ -103,6 +116,7 @@ def make_one(folder: Path) -> Path:
 MAKERS: dict[str, Callable[[Path], Path]] = {
     "hostile": make_hostile,
     "plain": make_plain,
+    "together": make_together,
     "four": make_four,
     "pareto": make_pareto,
     "failed": make_failed,

@@ -22,13 +22,13 @@ def select(page, scenario):
     page.evaluate("id => cornercase.store.select(id)", scenario)
 
 
-@pytest.mark.parametrize("name", at_night(["plain", "hostile"], {"plain"}))
+@pytest.mark.parametrize("name", at_night(["plain", "hostile", "together"], {"plain", "together"}))
 def test_the_command_runs_the_scenario_to_the_last_bit(tab, studies, reports, name, tmp_path, monkeypatch):
     path = studies(name)
     page = tab.open(reports(name))
     with StudyFile.open(path, readonly=True) as study:
         ids = [row.id for row in study.finished_rows()][::25]
-        folder = X if name == "plain" else path.parent / "files"
+        folder = path.parent / "files" if name == "hostile" else X
         monkeypatch.chdir(folder)
         for scenario in ids:
             select(page, scenario)
@@ -42,7 +42,7 @@ def test_the_command_runs_the_scenario_to_the_last_bit(tab, studies, reports, na
             assert (tmp_path / "run.csv").read_bytes() == (tmp_path / "study.csv").read_bytes()
 
 
-@pytest.mark.parametrize("name", at_night(["plain", "hostile"], {"plain"}))
+@pytest.mark.parametrize("name", at_night(["plain", "hostile", "together"], {"plain", "together"}))
 def test_the_file_of_a_kept_scenario_is_the_one_that_reduce_wrote(tab, studies, reports, name, tmp_path):
     reduced = studies(name).parent / "reduced"
     page = tab.open(reports(name))

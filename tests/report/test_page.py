@@ -25,16 +25,20 @@ from cornercase.metrics.ending._find_outcome import find_outcome
 from cornercase.recordings import Collision, Recording
 from cornercase.recordings._compact_encoding import encode_rounded
 from cornercase.reduction import reduce
+from cornercase.reduction._write_files import write_chosen_scenarios
 from cornercase.report import summarize, write_report
 from cornercase.report._repeat_command import format_repeat_command
 from cornercase.report._report_data import read_report_data
+from cornercase.report._rerun import render_concrete_scenario, rerun_payload
 from cornercase.report.encode import _page_recordings as page_recordings
 from cornercase.report.text._answers import page_answers
 from cornercase.report.text._phrases import format_percent, format_value
 from cornercase.report.text._summary_dict import summary_to_dict
 from cornercase.scenario import Parameter, ParameterSpace
 from cornercase.study import StudyFile, import_recordings
+from cornercase.study._scenario_file import find_explored_scenario
 from helpers.command_line import cornercase
+from helpers.joint_values import joint_values
 from helpers.synthetic_study import SPACE, Synthetic, about, explorer, opened
 from helpers.two_cars import met
 
@@ -547,3 +551,45 @@ def test_where_the_dangerous_scenarios_lie_is_said_beside_the_influence(path, da
     assert len(said) == len(narrow)
     for text, (name, place, count) in zip(said, narrow, strict=True):
         assert text.startswith(f"All {count} critical scenarios that were found have {name} {place}")
+
+
+@pytest.fixture(scope="module")
+def joint(tmp_path_factory):
+    """A study of values that are set together, and of an option of a driver."""
+    folder = tmp_path_factory.mktemp("joint")
+    cc.explore(
+        joint_values(folder), folder / "s.db", ego="Ego", other="Pedestrian", metrics=["wttc"], optimizer="sobol",
+        budget=8, drivers={"Ego": "normal"},
+    )  # fmt: skip
+    return folder / "s.db"
+
+
+def test_values_that_are_set_together_do_not_count_as_held_fixed(joint):
+    with StudyFile.open(joint, readonly=True) as study:
+        assert set(read_report_data(study, charts=False).fixed_parameters) == {
+            "ego_speed",
+            "pedestrian_speed",
+            "truck_speed",
+        }
+
+
+def test_a_page_has_the_file_that_reduce_writes_with_joint_values_and_the_option_of_a_driver(joint, tmp_path):
+    with StudyFile.open(joint, readonly=True) as study:
+        row, explored = study.finished_rows()[2], find_explored_scenario(study)
+        (chosen,) = write_chosen_scenarios(study, tmp_path / "chosen", [row.id])
+        assert explored is not None
+        given = render_concrete_scenario(study.meta, explored, row, chosen.why)
+        rerun = rerun_payload(study)
+    written = (tmp_path / "chosen" / chosen.file).read_bytes()
+    assert f'value="normal:reaction_time={row.values["Ego.reaction_time"]}"'.encode() in written
+    assert given == written
+    # What the page inserts: the values of the file, which has them in this order, and of the driver.
+    names = ["ego_start", "pedestrian_wait", "p1_speed", "Ego.reaction_time"]
+    slots, pieces = rerun["file"]["slots"], rerun["file"]["pieces"]
+    texts = [str(row.values[name]) for name in names]
+    assert {None, 0, 1, 2, 3} == set(slots)
+    described = f"Scenario {row.id} of the logical scenario x_intersection: {chosen.why}"
+    filled = [described if slot is None else texts[slot] for slot in slots]
+    assert (
+        pieces[0] + "".join(text + piece for text, piece in zip(filled, pieces[1:], strict=True))
+    ).encode() == written

@@ -16,7 +16,7 @@ from cornercase.reduction._reduced_set import ReducedSet, SelectedScenario
 from cornercase.reduction._reduced_set_folder import ReducedSetFolder, replace_reduced_set
 from cornercase.reduction._reduced_set_manifest import make_manifest
 from cornercase.scenario import Value
-from cornercase.scenario._concrete_file import build_concrete_file, read_required_xml
+from cornercase.scenario._concrete_file import ConcreteFile, build_concrete_file, read_required_xml
 from cornercase.scenario._file import ScenarioFile
 from cornercase.study import ScenarioRecord, StudyFile, StudyMeta
 from cornercase.study._scenario_file import find_explored_scenario
@@ -83,20 +83,26 @@ def add_scenario_files(
     folder: Path,
 ) -> None:
     """Add the files of selected scenarios to a new set in `folder`, with the roads and catalogs that they need."""
-    chosen_drivers = study.meta.settings.get("drivers", {})
-    drivers = {entity: driver for entity, driver in chosen_drivers.items() if isinstance(driver, str)}
     dependencies: dict[Path, bytes] = {}
     for item in selected:
         comment = f"Scenario {item.id} of the logical scenario {study.meta.title}: {item.why}"
-        if of_drivers := scenario.parse_driver_option_names(item.values):
-            comment += f"; {', '.join(f'{name}={item.values[name]}' for name in of_drivers)}"
-        own_drivers = drivers | _drivers_with_values(scenario, chosen_drivers, item.values)
-        concrete = build_concrete_file(scenario, item.values, folder / item.file, own_drivers, comment)
+        concrete = build_scenario_file(study.meta, scenario, item.values, folder / item.file, comment)
         for source, path, root in concrete.companions:
             if source not in dependencies:
                 dependencies[source] = read_required_xml(source, root)
             set_folder.add(path, dependencies[source])
         set_folder.add(item.file, concrete.content)
+
+
+def build_scenario_file(
+    meta: StudyMeta, scenario: ScenarioFile, values: Mapping[str, Value], target: Path, description: str
+) -> ConcreteFile:
+    """Build the file of a concrete scenario of a study with its drivers; values of drivers end the description."""
+    if of_drivers := scenario.parse_driver_option_names(values):
+        description += f"; {', '.join(f'{name}={values[name]}' for name in of_drivers)}"
+    named = {entity: driver for entity, driver in meta.drivers.items() if isinstance(driver, str)}
+    drivers = named | _drivers_with_values(scenario, meta.drivers, values)
+    return build_concrete_file(scenario, values, target, drivers, description)
 
 
 def _read_scenarios_by_id(study: StudyFile, ids: Iterable[int]) -> list[ScenarioRecord]:

@@ -206,7 +206,7 @@ def _read_fixed_parameters(study: StudyFile) -> dict[str, str]:
     with suppress(InputError):
         scenario = None if study.meta.suite else find_explored_scenario(study, search_remembered_path=False)
         if scenario is not None:
-            varied = {parameter.name for parameter in study.space.parameters}
+            varied = {name for parameter in study.space.parameters for name in parameter.assigned_names}
             declared = scenario.root.iterfind("ParameterDeclarations/ParameterDeclaration")
             return {
                 name: element.get("value", "")

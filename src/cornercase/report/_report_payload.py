@@ -168,6 +168,7 @@ def study_info_payload(meta: StudyMeta, file_name: str) -> dict[str, Any]:
                 "high": parameter.high,
                 "choices": list(parameter.choices),
             }
+            | ({"value_sets": [list(members) for members in parameter.value_sets]} if parameter.value_sets else {})
             for parameter in meta.space.parameters
         ],
         "metrics": [

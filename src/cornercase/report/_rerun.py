@@ -15,9 +15,8 @@ from cornercase._common.io.files import make_portable_file_name
 from cornercase._common.text.sanitize import escape_control_characters
 from cornercase.drivers._serialization import driver_command_option
 from cornercase.reduction import read_reduction
+from cornercase.reduction._write_files import build_scenario_file
 from cornercase.report._repeat_command import describe_unnamed_drivers
-from cornercase.scenario import Value
-from cornercase.scenario._concrete_file import build_concrete_file
 from cornercase.scenario._file import ScenarioFile
 from cornercase.scenario._types import INTEGER_TYPES, convert_to_type, format_value
 from cornercase.simulators._run_options import SIMULATION_OPTIONS
@@ -26,6 +25,8 @@ from cornercase.study._import_recordings import IMPORTED_SIMULATOR
 from cornercase.study._scenario_file import find_explored_scenario
 
 _BUILTIN: Final = "builtin"
+# Numbers of drivers are written with a decimal point, unlike numbers of the scenario.
+_DRIVER_OPTION_TYPE: Final = "option"
 
 
 def rerun_payload(
@@ -93,7 +94,8 @@ def render_concrete_scenario(
     meta: StudyMeta, scenario: ScenarioFile, row: ScenarioRecord, selection_reason: str | None
 ) -> bytes:
     """Return the concrete scenario file of a scenario (UTF-8 XML), with the same content that `reduce` writes."""
-    return _build_scenario_file(meta, scenario, row.values, _describe_scenario(meta, str(row.id), selection_reason))
+    description = _describe_scenario(meta, str(row.id), selection_reason)
+    return build_scenario_file(meta, scenario, row.values, Path(meta.file_name), description).content
 
 
 def _reason_without_command(meta: StudyMeta) -> str:
@@ -125,25 +127,22 @@ def _describe_scenario(meta: StudyMeta, scenario: str, why: str | None) -> str:
     return f"{text}: {why}" if why is not None else text
 
 
-def _build_scenario_file(
-    meta: StudyMeta, scenario: ScenarioFile, values: Mapping[str, Value], description: str
-) -> bytes:
-    presets = {entity: driver for entity, driver in meta.drivers.items() if isinstance(driver, str)}
-    return build_concrete_file(scenario, values, Path(meta.file_name), presets, description).content
-
-
 def _split_at_values(
     meta: StudyMeta, scenario: ScenarioFile, selection_reasons: Mapping[int, str]
 ) -> dict[str, Any] | None:
     """Split a scenario file at its parameter values and its description, so that a page can insert other texts."""
-    parameters = meta.space.parameters
+    assigned = {
+        name: [dict(members)[name] for members in parameter.value_sets] or parameter.choices
+        for parameter in meta.space.parameters
+        for name in parameter.assigned_names
+    }
     mark = "$cornercase"
     source = etree.tostring(scenario.root).decode()
     while mark in source:
         mark += "-"
-    marks = {parameter.name: f"{mark}:{k}:" for k, parameter in enumerate(parameters)}
+    marks = {name: f"{mark}:{k}:" for k, name in enumerate(assigned)}
     try:
-        text = _build_scenario_file(meta, scenario, marks, f"{mark}:n:").decode()
+        text = build_scenario_file(meta, scenario, marks, Path(meta.file_name), f"{mark}:n:").content.decode()
     except (InputError, UnicodeDecodeError):
         # A file that the scenario file needs is missing.
         return None
@@ -154,19 +153,17 @@ def _split_at_values(
         element.get("name"): element.get("parameterType")
         for element in scenario.root.iterfind("ParameterDeclarations/*")
     }
-    choices = {
-        parameter.name: [
-            _escape_attribute(_format_choice(choice, types.get(parameter.name))) for choice in parameter.choices
-        ]
-        for parameter in parameters
-    }
+    types |= dict.fromkeys(scenario.parse_driver_option_names(assigned), _DRIVER_OPTION_TYPE)
     return {
         "pieces": pieces,
-        # Index of a parameter; None for the description.
+        # Index of a scenario parameter, as the varied parameters set them in turn; None for the description.
         "slots": [None if slot == "n" else int(slot) for slot in slots],
-        "kinds": [types.get(parameter.name, "string") for parameter in parameters],
+        "kinds": [types.get(name, "string") for name in assigned],
         "whole": sorted(INTEGER_TYPES),
-        "choices": [choices[parameter.name] for parameter in parameters],
+        "choices": [
+            [_escape_attribute(_format_choice(choice, types.get(name))) for choice in choices]
+            for name, choices in assigned.items()
+        ],
         # Text before and after the id of a scenario without a selection reason.
         "description": [
             _escape_attribute(escape_control_characters(text))

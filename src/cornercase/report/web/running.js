@@ -43,12 +43,13 @@ class Running {
     const command = this.told?.command;
     if (!command) return null;
     const { parameters } = this.store.contents;
-    const sets = this.values(id).map((value, k) => {
-      const { name, choices } = parameters[k];
-      return ["--set", `${name}=${choices.length ? choices[value] : numberText(value)}`];
+    const sets = this.values(id).flatMap((value, k) => {
+      const { name, choices, value_sets: together } = parameters[k];
+      const assigned = together?.[value] ?? [[name, choices.length ? choices[value] : numberText(value)]];
+      return assigned.flatMap(([one, text]) => ["--set", `${one}=${text}`]);
     });
     const file = command.files.slice(id - 1, id);
-    return [...command.before, ...file, ...sets.flat(), ...command.after, "-o", `${this.told.name}-${padded(id)}.csv`];
+    return [...command.before, ...file, ...sets, ...command.after, "-o", `${this.told.name}-${padded(id)}.csv`];
   }
 
   command(id) {
@@ -62,11 +63,14 @@ class Running {
   file(id) {
     const file = this.told?.file;
     if (!file) return null;
-    const values = this.values(id);
+    const { parameters } = this.store.contents;
+    // A choice that sets several scenario parameters is the value of each of them.
+    const values = this.values(id).flatMap((value, k) => (parameters[k].value_sets?.[0] ?? [null]).map(() => value));
     const filled = (slot) => {
       if (slot === null) return file.kept[id] ?? file.description.join(id);
       if (file.choices[slot].length) return file.choices[slot][values[slot]];
       if (file.kinds[slot] === "boolean") return values[slot] ? "true" : "false";
+      if (file.kinds[slot] === "option" && Number.isInteger(values[slot])) return values[slot].toFixed(1);
       return numberText(file.whole.includes(file.kinds[slot]) ? Math.round(values[slot]) : values[slot]);
     };
     return file.pieces[0] + file.slots.map((slot, k) => filled(slot) + file.pieces[k + 1]).join("");
