@@ -6,8 +6,10 @@ import importlib.resources
 import json
 import re
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -15,9 +17,16 @@ import cornercase as cc
 from cornercase import InputError
 from cornercase.cli import app
 from cornercase.drivers import NORMAL, BehaviourDriver
+from cornercase.metrics import METRICS
+from cornercase.recordings import Collision
 from cornercase.report import write_comparison
 from cornercase.report.comparison import _comparison_page as versions_page
+from cornercase.report.comparison._charts import draw_charts
+from cornercase.report.comparison._replayed_pairs import _describe_difference
 from cornercase.study import StudyFile
+from cornercase.suite import ScenarioPair
+from helpers.synthetic_study import SPACE, about, explorer
+from helpers.two_cars import met
 
 DECLARED = re.compile(r"^(?:async )?(?:function\*? |class |const |let |var )([A-Za-z_$][\w$]*)", re.MULTILINE)
 
@@ -140,6 +149,40 @@ def test_the_most_important_replays_stay_where_all_are_too_many(versions, found)
     assert f"{n_differing - 1} more scenarios differ, whose replays would make this page too large" in page
     # An example without a replay is no button.
     assert page.count('aria-pressed="false"><b>') == 1
+
+
+def test_the_replay_shows_the_collision_of_the_ego_and_not_an_earlier_one_of_others():
+    calm = met(ego=(np.linspace(0.0, 3.0, 31), 0.0, 0.0, 1.0), other=(np.full(31, 50.0), 0.0, 0.0, 0.0))
+    hits = (Collision(1.0, ("Walker", "Third")), Collision(2.5, ("Ego", "Other")))
+    pair = ScenarioPair((1, 1), {}, (0.5,), "otherwise", True, scores={"wttc": (1.0, 0.5)}, collides=(False, True))
+    told = _describe_difference(pair, calm, replace(calm, collisions=hits), "Ego", {"wttc": METRICS.create("wttc")})
+    assert (told["side"], told["time"]) == (1, 2.5)
+    assert "Shown is 2.5 s, when the new version collides" in told["text"]
+
+
+@pytest.mark.parametrize(
+    ("scores", "side", "words"),
+    [
+        ((1.0, 1.0), 0, "of the old version; the new one has the same scores."),
+        ((1.0, 0.5), 1, "of the new version, which is the more critical."),
+        ((0.5, 1.0), 0, "of the old version, which is the more critical."),
+    ],
+)
+def test_the_replay_calls_no_version_more_critical_where_the_scores_are_the_same(scores, side, words):
+    calm = met(ego=(np.linspace(0.0, 3.0, 31), 0.0, 0.0, 1.0), other=(np.full(31, 50.0), 0.0, 0.0, 0.0))
+    pair = ScenarioPair((1, 1), {}, (0.5,), "otherwise", True, scores={"wttc": scores})
+    told = _describe_difference(pair, calm, calm, "Ego", {"wttc": METRICS.create("wttc")})
+    assert told["side"] == side
+    assert told["text"].endswith(words)
+
+
+def test_scenarios_that_failed_in_both_are_no_change_to_draw(tmp_path):
+    path = tmp_path / "s.db"
+    with StudyFile.create(path, about(SPACE, "distance", optimizer="sobol", seed=7)) as study:
+        explorer(study, optimizer="sobol", budget=16).run()
+    same = cc.compare(path, path)
+    assert {pair.run for pair in same.pairs} == {"the same", "in neither"}
+    assert list(draw_charts(same, SPACE.parameters)) == []
 
 
 def test_it_is_not_written_over_a_study(versions):

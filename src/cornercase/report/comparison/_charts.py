@@ -54,14 +54,14 @@ def draw_charts(comparison: Comparison, parameters: Sequence[Parameter]) -> Iter
     """Yield a chart of old against new scores for each metric with changed scores, and a chart of the parameter space.
 
     The chart of the parameter space shows the first two numeric parameters. This chart is left out if the study has
-    fewer than two numeric parameters, or if all scenarios ran in both studies and differ within rounding at most.
+    fewer than two numeric parameters, or if no scenario differs by more than rounding or failed in one study only.
     """
     ran = [pair for pair in comparison.pairs if pair.both_ran]
     for score in comparison.scores:
         if score.moved:
             yield _score_chart(ran, score.metric, comparison.metrics[score.metric])
     axes = [parameter for parameter in parameters if not parameter.choices][:2]
-    if len(axes) == 2 and any(pair.run not in ("the same", "within rounding") for pair in comparison.pairs):
+    if len(axes) == 2 and any(pair.run in ("otherwise", "not in one") for pair in comparison.pairs):
         yield _space_chart(comparison.pairs, axes)
 
 

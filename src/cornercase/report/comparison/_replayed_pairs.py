@@ -99,7 +99,9 @@ def read_replayed_pairs(
                 size += len(text)
         replayed.pairs.append(pair)
         replayed.numbers_by_ids[pair.ids] = number
-        replayed.differences[str(number)] = _describe_difference(pair, recordings[0], recordings[1], comparison)
+        replayed.differences[str(number)] = _describe_difference(
+            pair, recordings[0], recordings[1], old.meta.ego, comparison.metrics
+        )
     return replayed
 
 
@@ -127,12 +129,13 @@ def _read_courses(study: StudyFile, scenario: int, comparison: Comparison) -> di
 
 
 def _describe_difference(
-    pair: ScenarioPair, old: Recording | None, new: Recording | None, comparison: Comparison
+    pair: ScenarioPair, old: Recording | None, new: Recording | None, ego: str, metrics: Mapping[str, Any]
 ) -> dict[str, Any]:
     """Return which run and instant the replay shows first, and a sentence on the difference of a pair.
 
-    The side is 0 for the old run and 1 for the new run. If only one version collides, the instant is the time of the
-    collision. Else no instant is returned, and the replay shows the most critical instant of the more critical version.
+    The side is 0 for the old run and 1 for the new run. If the ego collides in only one version, the instant is the
+    time of its first collision. Else no instant is returned, and the replay shows the most critical instant of the more
+    critical version, or of the old version if no score changed.
     """
     if old is None or new is None:
         return {"side": 0 if new is None else 1, "text": "One version only could run it."}
@@ -141,7 +144,7 @@ def _describe_difference(
     if pair.collides[0] != pair.collides[1]:
         side = int(pair.collides[1])
         version, other = (("old", "new"), ("new", "old"))[side]
-        collision = next(item for item in (old, new)[side].collisions)
+        collision = next(item for item in (old, new)[side].collisions if ego in item.entities)
         fault = f", {pair.faults[side]}" if pair.faults[side] else ""
         return {
             "side": side,
@@ -149,20 +152,13 @@ def _describe_difference(
             "text": f"{parting} Shown is {collision.time:.4g} s, when the {version} version collides{fault}; the"
             f" {other} one does not.",
         }
-    side = int(_is_more_critical_now(pair, comparison.metrics))
-    version = ("old", "new")[side]
-    return {
-        "side": side,
-        "text": f"{parting} Shown is the most critical instant of the {version} version, which is the more critical.",
-    }
-
-
-def _is_more_critical_now(pair: ScenarioPair, metrics: Mapping[str, Any]) -> bool:
-    """Return whether the new version is more critical, by the first metric whose score changed."""
-    for name, (before, after) in pair.scores.items():
-        if before != after:
-            return bool(metrics[name].to_minimize(after) < metrics[name].to_minimize(before))
-    return False
+    shown = f"{parting} Shown is the most critical instant of the"
+    changed = next((name for name, (before, after) in pair.scores.items() if before != after), None)
+    if changed is None:
+        return {"side": 0, "text": f"{shown} old version; the new one has the same scores."}
+    before, after = map(metrics[changed].to_minimize, pair.scores[changed])
+    side = int(after < before)
+    return {"side": side, "text": f"{shown} {('old', 'new')[side]} version, which is the more critical."}
 
 
 def _find_divergence_time(old: Recording, new: Recording) -> float | None:
