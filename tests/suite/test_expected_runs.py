@@ -9,8 +9,10 @@ import shutil
 import pytest
 
 import cornercase as cc
-from cornercase._common.errors import InputError
+from cornercase._common.errors import InputError, SimulationError
 from cornercase.reduction import read_reduction
+from cornercase.reduction._write_files import write_chosen_scenarios
+from cornercase.simulators import Builtin
 from cornercase.study import StudyFile
 from helpers.command_line import cornercase
 
@@ -61,6 +63,33 @@ def test_without_that_study_the_page_says_what_is_missing_and_how_to_get_it(expl
     assert contents["expected"]["runs"]["2"]["called"] == "Expected: scenario 2 of run.db"
     with pytest.raises(InputError, match="is no run of a suite"):
         cc.write_report(explored / "study.db", tmp_path / "no.html", against=ran.study)
+
+
+class NeverLate(Builtin):
+    """The builtin simulator, which gives up scenarios whose pedestrian waits for long."""
+
+    def run(self, concretes):
+        for concrete, result in zip(concretes, super().run(concretes), strict=True):
+            yield SimulationError("it broke") if concrete.values["pedestrian_wait"] > 6.0 else result
+
+
+def test_scenarios_that_failed_in_their_study_have_a_report_without_expected_runs(x_intersection, tmp_path):
+    cc.explore(
+        x_intersection, tmp_path / "s.db", simulator=NeverLate(), ego="Ego", other="Pedestrian", metrics=["wttc"],
+        optimizer="sobol", budget=8,
+    )  # fmt: skip
+    with StudyFile.open(tmp_path / "s.db", readonly=True) as study:
+        failed = [row.id for row in study.failed_rows()]
+        write_chosen_scenarios(study, tmp_path / "chosen", failed)
+    cc.run_suite(tmp_path / "chosen", tmp_path / "run.db")
+    page, contents = page_and_contents(tmp_path / "run.db", tmp_path)
+    assert contents["expected"] == {
+        "runs": {},
+        "missing": "The expected runs are not shown beside these: none of these scenarios ran in s.db.",
+    }
+    assert f"{8 - len(failed)} of the {8 - len(failed)} scenarios of s.db" in page
+    with pytest.raises(InputError, match="has no run of the scenarios of"):
+        cc.write_report(tmp_path / "run.db", tmp_path / "no.html", against=tmp_path / "s.db")
 
 
 def test_verdicts_come_first_and_lead_to_the_replay(ran, tmp_path):

@@ -59,6 +59,7 @@ def read_expected_runs(study: StudyFile, against: Path | None = None) -> Expecte
         if against is not None:
             raise InputError(f"`against`: {study.path} is no run of a suite; leave `against` out.")
         return ExpectedRuns()
+    is_named = against is not None
     if against is None:
         if not meta.origin:
             return ExpectedRuns()
@@ -74,6 +75,14 @@ def read_expected_runs(study: StudyFile, against: Path | None = None) -> Expecte
             )
     with StudyFile.open(against, readonly=True) as earlier:
         sources = _match_rows(study, earlier)
+        if not sources and is_named:
+            raise InputError(
+                f"`against` {earlier.path}: has no run of the scenarios of {study.path}; name the study that the suite"
+                " was made from, or an earlier run of the suite."
+            )
+        missing = (
+            f"The expected runs are not shown beside these: none of these scenarios ran in {quote_name(against.name)}."
+        )
         texts = encode_recordings(earlier, list(sources.values()), max_characters=_MAX_CHARACTERS)
         outcomes = earlier.outcomes()
         driver = earlier.meta.drivers.get(meta.ego, earlier.meta.driver_in_file)
@@ -88,6 +97,7 @@ def read_expected_runs(study: StudyFile, against: Path | None = None) -> Expecte
                 }
                 for scenario, source in shown.items()
             },
+            missing="" if sources else missing,
             gaps=tuple(describe_suite_gaps(study, earlier, list(sources.values()))),
         )
 
@@ -132,10 +142,4 @@ def _match_rows(study: StudyFile, earlier: StudyFile) -> dict[int, int]:
         matched = {row.id: by_values.get(frozenset(row.values.items())) for row in study.finished_rows()}
     else:
         matched = {}
-    matches = {scenario: source for scenario, source in matched.items() if source is not None}
-    if not matches:
-        raise InputError(
-            f"`against` {earlier.path}: has no run of the scenarios of {study.path}; name the study that the suite was"
-            " made from, or an earlier run of the suite."
-        )
-    return matches
+    return {scenario: source for scenario, source in matched.items() if source is not None}
