@@ -307,6 +307,12 @@ def test_where_simulators_do_not_repeat_themselves_the_tests_decide_and_say_whic
     assert compared(hit[2], hit[1]).headline.startswith("Better: 11 collisions gone (2, 3, 4, 5, 6 and 6 more; 0 the")
 
 
+def test_what_the_tests_find_is_told_most_important_first(tmp_path):
+    old = written(tmp_path / "old.db", GAPS, simulator="synthetic")
+    new = written(tmp_path / "new.db", GAPS - 0.2, hits=set(range(12)), simulator="synthetic")
+    assert [one.kind for one in compared(old, new).worse] == ["collision", "score"]
+
+
 @pytest.mark.slow
 def test_scenarios_that_are_not_the_same_ones_are_judged_by_the_tests(tmp_path):
     studies = []

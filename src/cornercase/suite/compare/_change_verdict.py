@@ -95,6 +95,7 @@ def find_findings(
     for test in tests:
         if test.corrected <= ALPHA and test.direction is not None and (not deterministic or test.differ is None):
             findings += _iter_test_findings(test, test.direction, counted, metrics, tolerances)
+    findings.sort(key=lambda finding: _KINDS_BY_IMPORTANCE.index(finding.kind))
     worse, better = (
         tuple(change for change in findings if change.direction == direction) for direction in ("worse", "better")
     )
