@@ -57,15 +57,16 @@ ExploredScenario = Annotated[
     Path | None,
     Option(
         metavar="FILE.xosc",
-        help="Scenario that was explored; by default searched beside the study and in the current folder.",
+        help="Scenario that was explored; by default searched where this machine explored it, beside the study and in"
+        " the current folder.",
     ),
 ]
 NamedScenario = Annotated[
     Path | None,
     Option(
         metavar="FILE.xosc",
-        help="Scenario that was explored; by default searched at the stored path, beside the study and in the current"
-        " folder.",
+        help="Scenario that was explored; by default searched at the stored path, where this machine explored it,"
+        " beside the study and in the current folder.",
     ),
 ]
 StudyFile = Annotated[Path, typer.Argument(metavar="STUDY.db", help="Study, as written by explore.")]

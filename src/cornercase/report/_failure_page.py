@@ -37,7 +37,7 @@ def render_failure_page(study: StudyFile) -> str:
         about=escape_control_characters(f"{meta.roles_text} {_describe_counts(summary)}"),
         reasons=Markup(render_failure_reasons(failed)),
         missing=_MISSING_TEXT,
-        again=describe_retry(meta),
+        again=escape_control_characters(describe_retry(meta, study.path.name)),
         left_out=f"The first {_MAX_ROWS} of {len(failed)}." if len(failed) > _MAX_ROWS else "",
         scenarios=Markup(_render_scenarios(meta, failed[:_MAX_ROWS])),
         provenance=render_provenance(study.path.name, summary),

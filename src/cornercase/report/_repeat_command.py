@@ -131,15 +131,16 @@ def describe_unnamed_drivers(meta: StudyMeta) -> Iterator[str]:
             )
 
 
-def describe_retry(meta: StudyMeta) -> str:
-    """Return a text that tells the user how to run the failed scenarios of a study again."""
+def describe_retry(meta: StudyMeta, file_name: str) -> str:
+    """Return a text that tells the user how to run the failed scenarios of the study in a file again."""
     if meta.simulator == IMPORTED_SIMULATOR:
         return "Mend the recordings, and import them into another study."
     if meta.suite or meta.optimizer.startswith(_ESTIMATE_PREFIX):
         return "Mend the cause, and give the same command with another study."
     return (
-        "Mend the cause. The command below with --retry-failed runs the failed scenarios again, as long as nothing of"
-        " the scenario or of the simulator's settings has changed; if it has, name another study."
+        f"Mend the cause. The command below with --retry-failed and -o {shlex.quote(file_name)} runs the failed"
+        " scenarios again, as long as nothing of the scenario or of the simulator's settings has changed; if it has,"
+        " name another study."
     )
 
 

@@ -308,8 +308,9 @@ class StudyMeta:
 
     @property
     def title(self) -> str:
-        """Name of the scenario file or folder without its ending."""
-        return Path(_base_name(self.scenario)).stem
+        """Name of the scenario file or recordings folder without its ending; for a suite, the name of its folder."""
+        name = _base_name(self.scenario)
+        return name if self.suite else Path(name).stem
 
     def to_json(self) -> dict[str, Any]:
         """Return the description as values that JSON can store.
