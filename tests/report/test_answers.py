@@ -12,8 +12,10 @@ from cornercase.evidence import Estimate
 from cornercase.report._near_misses import ClosestApproach, find_closest_approach
 from cornercase.report._report_data import read_report_data
 from cornercase.report.text._answers import page_answers
-from cornercase.report.text._phrases import format_range
+from cornercase.report.text._phrases import describe_dangers, format_range
+from cornercase.report.text._what_next import describe_next_steps_after_suite
 from cornercase.study import StudyFile
+from cornercase.suite import Verdict
 
 
 def answer(data, name):
@@ -62,6 +64,20 @@ def test_a_collision_with_an_entity_that_is_not_measured_is_none_of_the_answers(
     assert answer(data, "collisions").text.startswith("No: Ego touches Truck in none of the 32 scenarios.")
     assert data.summary.faults == {}
     assert "collision, to the developer" not in answer(data, "next").text
+
+
+def test_a_critical_scenario_with_an_inconclusive_verdict_did_not_pass(crossing):
+    critical = [row.id for row, is_critical in zip(crossing.rows, crossing.is_critical, strict=True) if is_critical]
+    states = {row.id: "passed" for row in crossing.rows} | {critical[0]: "inconclusive"}
+    verdicts = {scenario: [Verdict(state, "no collision", "")] for scenario, state in states.items()}
+    text, points = describe_next_steps_after_suite(replace(crossing, verdicts=verdicts))
+    passed = len(critical) - 1
+    assert text == f"Give the developer {passed} that passed but are critical and 1 that is critical but inconclusive."
+    assert f"scenario {critical[1]}, " in points[-1]
+
+
+def test_no_scenario_of_none_is_critical():
+    assert describe_dangers(0, 0, 0, "Ego") == "None of them is critical and in none Ego collides."
 
 
 def test_the_ranges_and_what_was_held_fixed_stand_beside_what_is_missed(crossing):

@@ -27,15 +27,19 @@ from cornercase.recordings._compact_encoding import encode_rounded
 from cornercase.reduction import reduce
 from cornercase.reduction._write_files import write_chosen_scenarios
 from cornercase.report import summarize, write_report
+from cornercase.report._metric_courses import encode_courses
+from cornercase.report._one_page_summary import write_one_page_summary
 from cornercase.report._repeat_command import format_repeat_command
 from cornercase.report._report_data import read_report_data
 from cornercase.report._rerun import render_concrete_scenario, rerun_payload
 from cornercase.report.encode import _page_recordings as page_recordings
+from cornercase.report.html._cluster_sections import render_clusterings
 from cornercase.report.text._answers import page_answers
 from cornercase.report.text._phrases import format_percent, format_value
 from cornercase.report.text._summary_dict import summary_to_dict
 from cornercase.scenario import Parameter, ParameterSpace
 from cornercase.study import StudyFile, import_recordings
+from cornercase.study._scenario_digest import COURSE_POINTS
 from cornercase.study._scenario_file import find_explored_scenario
 from helpers.command_line import cornercase
 from helpers.joint_values import joint_values
@@ -229,6 +233,32 @@ def test_a_page_that_would_be_too_large_keeps_the_recordings_that_tell_most(path
     assert contents_of(page)["recordings_left_out"] == ""
 
 
+def test_a_page_stays_small_where_all_recordings_tell_much(path, data):
+    with StudyFile.open(path, readonly=True) as study:
+        packed = page_recordings.encode_important_recordings(study, data, max_characters=1000, sample_characters=6000)
+    assert 6000 < sum(map(len, packed.values())) < 6000 + max(map(len, packed.values())) * 2
+    assert len(packed) < len(data.rows)
+
+
+def test_clusters_say_how_long_scenarios_last_and_not_when_they_end(data):
+    late = replace(data, time_spans={row.id: (100.0, 102.5) for row in data.rows})
+    page = "".join(str(section.html) for section in render_clusterings(late))
+    assert ">2.50<" in page
+    assert "102.50" not in page
+
+
+def test_a_course_has_no_value_where_it_is_not_a_number():
+    line = np.linspace(1.0, 3.0, COURSE_POINTS)
+    line[5:9] = np.nan
+    told = encode_courses([line, None, np.full(COURSE_POINTS, np.nan)], [(0.0, 1.0)] * 3)
+    codes = np.frombuffer(zlib.decompress(base64.b64decode(told["values"])), "<u2").reshape(3, COURSE_POINTS)
+    assert (told["low"], told["high"]) == (1.0, 3.0)
+    np.testing.assert_array_equal(codes[0] == 65535, np.isnan(line))
+    assert (codes[1:] == 65535).all()
+    none = encode_courses([np.full(COURSE_POINTS, np.nan)], [(0.0, 1.0)])
+    assert json.loads(json.dumps(none, allow_nan=False)) == none
+
+
 def test_each_beginning_of_an_even_order_is_spread():
     for count in (1, 2, 7, 100, 1000):
         order = page_recordings._van_der_corput_order(count)
@@ -323,6 +353,8 @@ def test_where_all_failed_the_page_says_why_and_what_is_missing(of, tmp_path):
         rows = study.writer.add_pending(1, points, SPACE.values(points))
         with pytest.raises(InputError, match="no scenario was run yet"):
             write_report(study, tmp_path / "r.html")
+        with pytest.raises(InputError, match="nothing to summarize; run some with `explore`"):
+            write_one_page_summary(study, tmp_path / "r.html")
         for row, reason in zip(rows, reasons, strict=False):
             study.writer.record_failure(row.id, SimulationError(reason))
     write_report(tmp_path / "s.db", tmp_path / "r.html", figures=True)
@@ -337,7 +369,9 @@ def test_where_all_failed_the_page_says_why_and_what_is_missing(of, tmp_path):
         assert "All 3 scenarios that ended could not be run. 1 not run yet." in page
         assert "2 &lt;b&gt;no road&lt;/b&gt; 2, 3 1 too slow 1 What is missing" in text
     assert "there are no scores" in text
-    assert "--retry-failed" in text
+    assert "--retry-failed and -o s.db runs" in text
+    with pytest.raises(InputError, match="'cornercase report' lists what failed"):
+        write_one_page_summary(tmp_path / "s.db", tmp_path / "r.html")
     value = format_value(rows[0].values["a"])
     assert f"scenario a b why 1 {value} " in text
 
@@ -406,6 +440,11 @@ def test_the_command_of_a_page_makes_the_study_again(tmp_path):
     with StudyFile.open(again, readonly=True) as study:
         assert [row.values for row in study.rows()] == [row.values for row in rows]
         np.testing.assert_array_equal(study.scores("wttc"), scores)
+
+
+def test_the_command_of_a_suite_names_its_whole_folder():
+    meta = replace(about(SPACE, "distance", suite="0"), scenario="suites/release-1.2", files=("a.xosc",))
+    assert shlex.split(format_repeat_command(meta))[:3] == ["cornercase", "test", "release-1.2"]
 
 
 def test_provenance_says_what_figures_depend_on(path, page):

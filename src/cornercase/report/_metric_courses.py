@@ -19,15 +19,17 @@ def encode_courses(courses: Sequence[FloatArray | None], time_spans: Sequence[tu
     """Encode the resampled courses (values of one metric over time) of all scenarios as 16-bit integers.
 
     None stands for a scenario without a course. `time_spans` are begin and end of each recording in s. The integer
-    65535 stands for a missing value.
+    65535 stands for a missing value, which is NaN in a course.
     """
-    present = [course for course in courses if course is not None]
-    low = min((float(np.nanmin(course)) for course in present), default=0.0)
-    high = max((float(np.nanmax(course)) for course in present), default=1.0)
+    missing = np.full(COURSE_POINTS, np.nan)
+    lines = [missing if course is None else course for course in courses]
+    defined = [line for line in lines if not np.isnan(line).all()]
+    low = min((float(np.nanmin(line)) for line in defined), default=0.0)
+    high = max((float(np.nanmax(line)) for line in defined), default=1.0)
     codes = np.full((len(courses), COURSE_POINTS), _MAX_CODE + 1, dtype="<u2")
-    for k, course in enumerate(courses):
-        if course is not None:
-            codes[k] = np.rint((course - low) / max(high - low, 1e-12) * _MAX_CODE)
+    for k, line in enumerate(lines):
+        is_defined = ~np.isnan(line)
+        codes[k, is_defined] = np.rint((line[is_defined] - low) / max(high - low, 1e-12) * _MAX_CODE)
     return {
         "points": COURSE_POINTS,
         "low": low,

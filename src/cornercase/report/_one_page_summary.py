@@ -49,10 +49,8 @@ def write_one_page_summary(
     with open_study(study, readonly=True, critical=critical) as opened, opened.snapshot():
         check_output_differs_from_source(path, opened.path)
         if not opened.finished_rows():
-            raise InputError(
-                f"{opened.path}: no scenario was run, so there is nothing to summarize; 'cornercase report' lists what"
-                " failed."
-            )
+            next_step = "'cornercase report' lists what failed" if opened.failed_rows() else "run some with `explore`"
+            raise InputError(f"{opened.path}: no scenario was run, so there is nothing to summarize; {next_step}.")
         data = read_report_data(opened, charts=False, memory=MemoryLimit.from_value(memory))
     write_page(path, render_one_page_summary(data))
     return path

@@ -46,7 +46,7 @@ def encode_important_recordings(
     first = list(dict.fromkeys(_important_ids(data, n_most_critical)))
     first_ids = set(first)
     rest = [ids[k] for k in _van_der_corput_order(len(ids)) if ids[k] not in first_ids]
-    sample = encode_recordings(study, rest[:_SIZE_SAMPLE])
+    sample = encode_recordings(study, (rest or first)[:_SIZE_SAMPLE])
     expected = sum(map(len, sample.values())) / max(len(sample), 1) * len(ids)
     return encode_recordings(
         study, [*first, *rest], max_characters=math.inf if expected <= max_characters else sample_characters

@@ -110,7 +110,7 @@ def _render_clustering(data: ReportData, analysis: Analysis) -> Iterator[str]:
 
 def _cluster_row(data: ReportData, cluster: int, row_indices: IntArray) -> list[str]:
     ids = [data.rows[k].id for k in row_indices.tolist()]
-    seconds = [data.time_spans[i][1] for i in ids]
+    seconds = [end - begin for begin, end in (data.time_spans[i] for i in ids)]
     medians = [f"{np.median(data.scores[metric.name][row_indices]):.3g}" for metric in data.metrics]
     n_collisions = sum(bool(data.entities_hit[i]) for i in ids)
     durations = [f"{min(seconds):.2f}", f"{max(seconds):.2f}"]

@@ -74,7 +74,7 @@ def describe_dangers(n_selected: int, n_critical: int | None, n_colliding: int, 
     if n_critical is None:
         return f"{collides[:1].upper()}{collides[1:]}."
     verb = "are" if n_critical > 1 else "is"
-    them = "All of them" if n_critical == n_selected else f"{n_critical or 'None'} of them"
+    them = "All of them" if 0 < n_critical == n_selected else f"{n_critical or 'None'} of them"
     return f"{them} {verb} critical and {collides}."
 
 

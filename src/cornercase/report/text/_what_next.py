@@ -40,21 +40,21 @@ def describe_next_steps(data: ReportData) -> tuple[str, tuple[str, ...]]:
 
 def describe_next_steps_after_suite(data: ReportData) -> tuple[str, tuple[str, ...]]:
     """Describe, as a text and list items, what to do after a run of a suite with its failed and critical scenarios."""
-    failed = [scenario for scenario, verdicts in data.verdicts.items() if worst_state(verdicts) == "failed"]
-    narrow = [
-        row.id
-        for row, is_critical in zip(data.rows, data.is_critical.tolist(), strict=True)
-        if is_critical and row.id not in failed
-    ]
+    states = {scenario: worst_state(verdicts) for scenario, verdicts in data.verdicts.items()}
+    failed = [scenario for scenario, state in states.items() if state == "failed"]
+    critical = [row.id for row, is_critical in zip(data.rows, data.is_critical.tolist(), strict=True) if is_critical]
+    narrow = [scenario for scenario in critical if states[scenario] == "passed"]
+    unjudged = [scenario for scenario in critical if states[scenario] == "inconclusive"]
     parts = [
         f"{count} that {what}"
         for count, what in (
             (len(failed), "failed"),
             (len(narrow), "passed but is critical" if len(narrow) == 1 else "passed but are critical"),
+            (len(unjudged), "is critical but inconclusive" if len(unjudged) == 1 else "are critical but inconclusive"),
         )
         if count
     ]
-    track = [*failed, *narrow][:_MAX_ON_TRACK]
+    track = [*failed, *narrow, *unjudged][:_MAX_ON_TRACK]
     text = f"Give the developer {join_with_and(parts)}." if parts else "Nothing failed, and nothing is critical."
     study = shlex.quote(data.file_name)
     points = [f"Developer: the file, and 'cornercase replay {study} {track[0]} -o run.html'."] if track else []
