@@ -68,8 +68,8 @@ def test_a_collision_with_an_entity_that_is_not_measured_is_none_of_the_answers(
 
 def test_a_critical_scenario_with_an_inconclusive_verdict_did_not_pass(crossing):
     critical = [row.id for row, is_critical in zip(crossing.rows, crossing.is_critical, strict=True) if is_critical]
-    states = {row.id: "passed" for row in crossing.rows} | {critical[0]: "inconclusive"}
-    verdicts = {scenario: [Verdict(state, "no collision", "")] for scenario, state in states.items()}
+    verdicts = {row.id: [Verdict("passed", "no collision", "")] for row in crossing.rows}
+    verdicts[critical[0]] = [Verdict("inconclusive", "no collision", "")]
     text, points = describe_next_steps_after_suite(replace(crossing, verdicts=verdicts))
     passed = len(critical) - 1
     assert text == f"Give the developer {passed} that passed but are critical and 1 that is critical but inconclusive."
