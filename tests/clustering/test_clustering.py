@@ -9,7 +9,7 @@ from sklearn.metrics import adjusted_rand_score
 from conftest import at_night
 from cornercase._common.errors import InputError
 from cornercase.clustering import ScenarioClustering, cluster
-from cornercase.clustering._validity import dbcv
+from cornercase.clustering._validity import ValidityScorer, dbcv
 from cornercase.dtw import distance_matrix
 
 
@@ -305,6 +305,14 @@ def test_validity_index_by_hand():
     assert dbcv(distances, labels, dimensions=1.0) == pytest.approx(expected, rel=1e-5)
     noisy = between(np.concatenate((line, line + 103.0, [1000.0, 2000.0]))[:, None])
     assert dbcv(noisy, np.append(labels, [-1, -1]), dimensions=1.0) == pytest.approx(expected * 0.8, rel=1e-5)
+
+
+def test_validity_of_a_sample_that_misses_a_cluster():
+    # Every second scenario is in the sample, none of cluster 1.
+    points, labels = np.arange(12.0)[:, None] + np.repeat([0.0, 30.0], 6)[:, None], np.array([0, 1] * 3 + [2, 1] * 3)
+    in_sample = np.arange(0, 12, 2)
+    expected = ValidityScorer(between(points[in_sample]), np.arange(6)).dbcv_and_silhouette(np.repeat([0, 1], 3))
+    assert ValidityScorer(between(points), in_sample).dbcv_and_silhouette(labels) == expected > (0.5, 0.5)
 
 
 @pytest.mark.parametrize(

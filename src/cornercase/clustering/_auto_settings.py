@@ -81,7 +81,7 @@ def search_settings(
                 update_progress(k * len(widths) + i)
             if not searching or search.best_score >= GOOD_AGREEMENT:
                 break
-        best = search.find_best_candidate_index(settings_given="auto" not in (gamma, eps)) if searching else 0
+        best = search.find_best_candidate_index() if searching else 0
     settings, labels, space = search.candidates[best]
     return Clustering(
         labels=labels,
@@ -190,13 +190,13 @@ class _SettingsSearch:
             )
             self.candidates.append((candidate, labels, space))
 
-    def find_best_candidate_index(self, settings_given: bool) -> int:
+    def find_best_candidate_index(self) -> int:
         """Return the index of the best candidate.
 
         The stability of the few candidates with the highest scores is computed, up to the first stable one. Stability
         and validity are also computed for the best candidate of each of a few numbers of clusters. If the best of the
         candidates with the highest scores scores too low or is too unstable, a candidate with a single cluster wins
-        instead, if there is one, except if the user gave gamma and eps (`settings_given`).
+        instead, if there is one.
         """
         indices = np.arange(len(self._scaled))
         self._stability = StabilityScorer(self._scaled, indices, method=self._method, max_part_size=MAX_SCORED)
@@ -228,7 +228,7 @@ class _SettingsSearch:
                 dbcv, silhouette = validity.dbcv_and_silhouette(labels)
                 self.candidates[k] = replace(candidate, dbcv=dbcv, silhouette=silhouette), labels, space
         winner = self.candidates[best][0]
-        if not settings_given and 1 in best_by_count and (winner.score < MIN_SCORE or winner.stability < MIN_STABILITY):
+        if 1 in best_by_count and (winner.score < MIN_SCORE or winner.stability < MIN_STABILITY):
             return best_by_count[1]
         return best
 

@@ -50,7 +50,8 @@ def dbcv(distances: FloatArray, labels: IntArray, *, dimensions: float = 3.0) ->
     distances = distances / np.median(positive) if len(positive) else distances
     core = np.zeros(len(labels))
     internal_nodes, sparseness = [], []
-    groups = [np.flatnonzero(labels == name) for name in range(int(labels.max()) + 1)]
+    # A sample of the scenarios may have none of a cluster.
+    groups = [np.flatnonzero(labels == name) for name in np.unique(labels[labels >= 0])]
     for members in groups:
         # Identical scenarios would be infinitely dense and have no edge in the tree.
         within = np.maximum(distances[np.ix_(members, members)], _MIN_DISTANCE)
