@@ -69,6 +69,18 @@ def test_an_optimizer_of_options_stays_as_it_is_when_it_starts():
     assert search == first == cc.optimizers.OPTIMIZERS.create("level-set:filling=0.4")
 
 
+def test_a_changed_option_changes_the_name():
+    bayes = cc.optimizers.Bayes(filling=0.1)
+    assert str(bayes.with_options(filling=0.5)) == "bayes:filling=0.5"
+    assert cc.metrics.METRICS.create("ttc:accelerating=true").with_options(accelerating=False).name == "ttc"
+    simulator = cc.simulators.SIMULATORS.create("esmini:seed=3,time_step=0.1")
+    assert str(simulator.with_options(seed=4)) == "esmini:seed=4"
+    # Without a change the text stays as it was given, as do names of the user.
+    assert str(simulator.with_options()) == str(simulator)
+    bayes.name = "mine"
+    assert str(bayes.with_options(filling=0.5)) == "mine"
+
+
 @dataclass
 class Halves(cc.Optimizer):
     """Points of the lower part of a space; nobody has registered it."""

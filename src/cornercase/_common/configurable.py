@@ -47,7 +47,9 @@ class Configurable:
         return hash((type(self), frozenset(given_options(self))))
 
     def with_options(self, **changes: Any) -> Self:
-        """Return a new object of the same class and name, with some options changed.
+        """Return a new object of the same class, with some options changed; the name follows the options.
+
+        A name that was given to this object after its construction stays.
 
         Parameters
         ----------
@@ -67,7 +69,8 @@ class Configurable:
             last = max(k for k, name in enumerate(names) if name in options)
             positional = [options.pop(name, parameters[name].default) for name in names[: last + 1]]
         made = type(self)(*positional, **options)
-        if made.name != self.name:
+        has_own_name = self.name.partition(":")[0] != type(self).name
+        if made.name != self.name and (has_own_name or changes.keys() <= self.options_outside_name):
             made.name = self.name
         return made
 
