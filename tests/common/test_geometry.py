@@ -49,6 +49,20 @@ def test_segments_and_points_have_distances():
     assert box_distance(box_corners(0, 0, 0, 0, 0), box_corners(3, 4, 1, 0, 0)) == pytest.approx(5)
 
 
+def test_segments_and_points_overlap_only_where_they_touch():
+    here = box_corners(0, 0, 0, 4, 2)
+    assert not boxes_overlap(here, box_corners(2.2, 1.2, np.pi / 4, 0, 1))
+    assert not boxes_overlap(box_corners(0, 0, 0, 0, 2), box_corners(10, 0, 0, 0, 2))
+    sizes = np.array([(4.0, 2.0), (3.0, 0.0), (0.0, 3.0), (0.0, 0.0)])
+    x, y, heading = np.random.default_rng(0).uniform(-2.5, 2.5, (3, 400))
+    others = box_corners(x[:, None], y[:, None], heading[:, None], *sizes.T)
+    overlap = boxes_overlap(others[:, :, None], others[:1])
+    np.testing.assert_array_equal(overlap, box_distance(others[:, :, None], others[:1]) < 1e-9)
+    assert overlap[:, 0, 1:].any(0).all()
+    assert boxes_overlap(box_corners(1, 1, 0, 0, 0), here)
+    assert boxes_overlap(box_corners(2, 1, 0, 0, 0), box_corners(2, 1, 1, 0, 0))
+
+
 def test_unknown_boxes_have_no_distance_and_no_contact():
     here, nowhere = box_corners(0, 0, 0, 4, 2), box_corners(np.nan, 0, 0, 4, 2)
     assert np.isnan(box_distance(here, nowhere))

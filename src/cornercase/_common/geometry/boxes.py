@@ -53,14 +53,27 @@ def boxes_overlap(a: FloatArray, b: FloatArray) -> BoolArray:
 
     A box with a NaN corner overlaps nothing. Source: separating axis theorem.
     """
+    if a.ndim != b.ndim:
+        a, b = np.broadcast_arrays(a, b)
     overlap = np.ones(np.broadcast_shapes(a.shape[:-2], b.shape[:-2]), dtype=np.bool_)
     for box in (a, b):
-        for first, second in ((0, 1), (1, 2)):
-            axis = box[..., second, :] - box[..., first, :]
-            on_a = np.einsum("...ck,...k->...c", a, axis)
-            on_b = np.einsum("...ck,...k->...c", b, axis)
-            overlap &= (on_a.max(-1) >= on_b.min(-1)) & (on_b.max(-1) >= on_a.min(-1))
+        sides = _side_vectors(box)
+        # Corners on the first axis: reducing over a last axis of four is several times slower.
+        on_a = np.einsum("...ck,...sk->cs...", a, sides, order="C")
+        on_b = np.einsum("...ck,...sk->cs...", b, sides, order="C")
+        overlap &= ((on_a.max(0) >= on_b.min(0)) & (on_b.max(0) >= on_a.min(0))).all(0)
     return overlap
+
+
+def _side_vectors(box: FloatArray) -> FloatArray:
+    """Return vectors in the directions of the width and the length of boxes, (..., 2, 2), also if sides are 0 long."""
+    sides = box[..., 1:3, :] - box[..., :2, :]
+    if (sides[..., 0, 0] * sides[..., 1, 1] - sides[..., 0, 1] * sides[..., 1, 0]).all():
+        return sides
+    is_zero = ~sides.any(-1, keepdims=True)
+    across_other = np.stack([-sides[..., ::-1, 1], sides[..., ::-1, 0]], -1)
+    sides = np.where(is_zero, across_other, sides)
+    return np.where(is_zero.all(-2, keepdims=True), np.eye(2), sides)
 
 
 def box_distance(a: FloatArray, b: FloatArray) -> FloatArray:
