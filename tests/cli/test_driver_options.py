@@ -12,6 +12,7 @@ import pytest
 from conftest import EXAMPLES
 from cornercase._common.errors import InputError
 from cornercase.cli.driver_options import combine_drivers
+from cornercase.cli.sut_file import read_sut_file
 from cornercase.drivers import SENSORS, Radar
 from cornercase.drivers._resolve import driver_by_name
 from cornercase.study import StudyFile
@@ -153,6 +154,24 @@ def test_a_study_is_the_same_by_options_by_one_text_and_by_a_file(folder):
     assert recording.time[ego < -1.0].min() == pytest.approx(0.3, abs=0.11)
     shown = cornercase("show", "file.db", "--config", cwd=folder).stdout
     assert f"--driver 'Ego={driver} + blind + blind:range=5 + kinematic'" in shown.replace("\\\n", "")
+
+
+@pytest.mark.parametrize(
+    ("driver", "spec"),
+    [
+        ("normal + radar", "normal:gain=1 + radar"),
+        ("normal:horizon=4 + radar:range=5", "normal:horizon=4,gain=1 + radar:range=5"),
+        ("my_aeb:Aeb:map=C:/map.toml", "my_aeb:Aeb:map=C:/map.toml,gain=1"),
+        ("fmu:C:\\a.fmu", "fmu:C:\\a.fmu:gain=1"),
+        ("fmu:C:\\a.fmu:map=C:\\map.toml", "fmu:C:\\a.fmu:map=C:\\map.toml,gain=1"),
+        ("exec:./aeb --mode=city", "exec:./aeb --mode=city:gain=1"),
+        ("exec:tcp://localhost:80", "exec:tcp://localhost:80:gain=1"),
+        ("exec:sh -c 'a + b':timeout=3 + radar", "exec:sh -c 'a + b':timeout=3,gain=1 + radar"),
+    ],
+)
+def test_options_of_a_file_go_to_the_driver(tmp_path, driver, spec):
+    (tmp_path / "sut.toml").write_text(f"[Ego]\ndriver = {json.dumps(driver)}\noptions = {{ gain = 1 }}\n")
+    assert read_sut_file(tmp_path / "sut.toml") == {"Ego": spec}
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -9,11 +10,13 @@ from typing import Any, Final
 from cornercase._common.configurable import format_option_value
 from cornercase._common.errors import InputError, suggest_name
 from cornercase._common.io.files import parse_toml, read_utf8
-from cornercase.drivers._registry import SEPARATOR
+from cornercase.drivers._registry import SEPARATOR, split_spec
+from cornercase.drivers._resolve import runs_program_or_file
 
 _MAX_BYTES: Final = 1_000_000
 _ENTITY_KEYS: Final = ("driver", "sut", "options", "sensors", "vehicle")
 _PART_KEYS: Final = ("name", "options")
+_OPTION: Final = re.compile(r":[^\s:=/\\]+=")
 
 
 def read_sut_file(path: Path) -> dict[str, str]:
@@ -72,8 +75,18 @@ def _format_name_with_options(where: str, name: Any, options: Any) -> str:
         if "," in text or SEPARATOR in text:
             raise InputError(f"{where}: the option '{key}' contains '{text}'; a comma or ' + ' cannot be in a value.")
         texts.append(f"{key}={text}")
-    has_options = name.count(":") > 1 or (":" in name and "=" in name)
-    return f"{name}{',' if has_options else ':'}{','.join(texts)}" if texts else name
+    if not texts:
+        return name
+    named, equipment = split_spec(name)
+    return SEPARATOR.join([f"{named}{',' if _has_options(named) else ':'}{','.join(texts)}", *equipment])
+
+
+def _has_options(name: str) -> bool:
+    """Return whether the text of a driver, sensor or vehicle has options after a colon."""
+    if runs_program_or_file(name):
+        # A path, address or argument may have a colon or an equals sign, too.
+        return _OPTION.search(name.partition(":")[2]) is not None
+    return name.count(":") > 1 or (":" in name and "=" in name)
 
 
 def _check_keys(where: str, table: Mapping[str, Any], allowed: Collection[str]) -> None:
