@@ -187,6 +187,10 @@ def test_a_new_file_has_the_permissions_of_the_users_choice(tmp_path):
         ("console.csv", "console.csv"),
         ("dots. .", "dots"),
         ("", "-"),
+        ("a" * 200, "a" * 150),
+        ("." + "ä" * 100, "-." + "ä" * 74),
+        ("con." + "a" * 200, "-con." + "a" * 145),
+        ("nul" + " " * 200 + "x", "-nul"),
     ],
 )
 def test_names_of_files_are_such_as_every_platform_takes(text, name):

@@ -39,8 +39,12 @@ def make_portable_file_name(text: str) -> str:
     >>> make_portable_file_name("criticality-ttc:accelerating=true")
     'criticality-ttc-accelerating=true'
     """
-    name = _INVALID_CHARACTERS.sub("-", text).encode()[:_MAX_NAME_BYTES].decode(errors="ignore").rstrip(". ") or "-"
-    return f"-{name}" if _DEVICE_NAMES.match(name) or name.startswith(".") else name
+    name = _cut_name(_INVALID_CHARACTERS.sub("-", text)) or "-"
+    return _cut_name(f"-{name}") if _DEVICE_NAMES.match(name) or name.startswith(".") else name
+
+
+def _cut_name(name: str) -> str:
+    return name.encode()[:_MAX_NAME_BYTES].decode(errors="ignore").rstrip(". ")
 
 
 def read_file(path: Path | str, max_size: int = MAX_FILE_SIZE) -> bytes:
