@@ -10,6 +10,8 @@ import pytest
 
 from cornercase._common.errors import InputError
 from cornercase._common.registry import Registry
+from cornercase.drivers import DRIVERS
+from cornercase.metrics import METRICS
 
 
 class Annotated:
@@ -55,6 +57,22 @@ def test_a_value_of_another_type_is_refused(factory, option, taken):
     name, _, value = option.partition("=")
     with pytest.raises(InputError, match=f"The thing 'thing' takes {taken} for '{name}', not '{value}'"):
         registry(factory).create(f"thing:{option}")
+
+
+def test_an_unknown_option_is_told_alike_as_keyword_and_as_text():
+    for options in ({"widht": 2.0}, {}):
+        with pytest.raises(InputError, match="The thing 'thing' has no option 'widht'; did you mean 'width'"):
+            registry(Annotated).create("thing" if options else "thing:widht=2", **options)
+    with pytest.raises(InputError, match="has no option 'width'; its constructor declares none"):
+        registry(lambda: None).create("thing", width=2.0)
+
+
+def test_nothing_after_the_colon_is_told_by_what_takes_the_whole_text():
+    for name, words in (("fmu:", "give its file as in"), ("exec:", "needs a command"), ("stl:", "give a bound such as")):
+        with pytest.raises(InputError, match=words):
+            (METRICS if name == "stl:" else DRIVERS).create(name)
+    with pytest.raises(InputError, match="ends in a colon; give options as in 'thing:name=value'"):
+        registry(Annotated).create("thing:")
 
 
 def test_what_takes_whole_numbers_takes_no_others():

@@ -208,21 +208,21 @@ class Registry(Generic[T]):
         >>> METRICS.create("ttc:accelerating=true").unit
         's'
         """
-        base, _, text = (name if isinstance(name, str) else name.__qualname__).partition(":")
+        base, colon, text = (name if isinstance(name, str) else name.__qualname__).partition(":")
         if isinstance(name, str):
             self._refuse_class_path(name)
         factory = self.get_factory(name if isinstance(name, type) else base)
-        if not text:
-            if isinstance(name, str) and name != base:
-                raise InputError(f"The {self._kind} '{name}' ends in a colon; give options as in '{base}:name=value'.")
-            check_option_names(self._kind, base, factory, options)
-            with convert_plugin_errors(f"The {self._kind} '{base}'", unwrap_factory(factory), "when it was created"):
-                return factory(**options)
-        if self.takes_whole_text(base):
+        if colon and self.takes_whole_text(base):
             with convert_plugin_errors(f"The {self._kind} '{name}'", unwrap_factory(factory), "when it was created"):
                 instance: Any = factory(text, **options)
             instance.name = name
             return cast(T, instance)
+        if not text:
+            if colon:
+                raise InputError(f"The {self._kind} '{name}' ends in a colon; give options as in '{base}:name=value'.")
+            check_option_names(self._kind, base, factory, options)
+            with convert_plugin_errors(f"The {self._kind} '{base}'", unwrap_factory(factory), "when it was created"):
+                return factory(**options)
         # Options fixed by the name, such as a preset, cannot be given.
         given = {*options, *(factory.keywords if isinstance(factory, partial) else ())}
         options |= parse_options(self._kind, base, factory, text, given)
@@ -413,12 +413,18 @@ def check_option_names(kind: str, name: str, factory: Callable[..., Any], option
             raise InputError(f"The {kind} '{name}' needs the option '{key}'; give it as in '{name}:{key}=value'.")
     if any(parameter.kind is parameter.VAR_KEYWORD for parameter in declared.parameters.values()):
         return
+    always_given = getattr(unwrap_factory(factory), "options_outside_name", ())
     for key in options:
-        if key not in declared.parameters:
+        if key in declared.parameters:
+            continue
+        if key in always_given:
             raise InputError(
                 f"The {kind} '{name}' does not accept the argument '{key}', which cornercase always gives; add it to"
                 " the constructor."
             )
+        known = declared_options(factory)
+        advice = suggest_name(key, known) if known else "its constructor declares none."
+        raise InputError(f"The {kind} '{name}' has no option '{key}'; {advice}")
 
 
 def _plain_type(parameter: Parameter) -> type[Any] | None:
