@@ -68,7 +68,11 @@ def test_an_unknown_option_is_told_alike_as_keyword_and_as_text():
 
 
 def test_nothing_after_the_colon_is_told_by_what_takes_the_whole_text():
-    for name, words in (("fmu:", "give its file as in"), ("exec:", "needs a command"), ("stl:", "give a bound such as")):
+    for name, words in (
+        ("fmu:", "give its file as in"),
+        ("exec:", "needs a command"),
+        ("stl:", "give a bound such as"),
+    ):
         with pytest.raises(InputError, match=words):
             (METRICS if name == "stl:" else DRIVERS).create(name)
     with pytest.raises(InputError, match="ends in a colon; give options as in 'thing:name=value'"):
