@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.spatial.distance import pdist, squareform
@@ -95,6 +97,22 @@ def test_what_is_asked_of_places_is_what_the_matrix_says():
         np.testing.assert_allclose(placed.distances_to_nearest_per_choice(choices), expected, atol=1e-12)
     part = placed.subset(np.arange(10), np.arange(100, 130))
     np.testing.assert_allclose(part[:], matrix[:10, 100:130], atol=1e-12)
+
+
+def test_places_are_indexed_like_a_matrix():
+    places = np.random.default_rng(6).normal(size=(9, 3))
+    placed, matrix = EmbeddedDistances(places), squareform(pdist(places, "sqeuclidean"))
+    few, mask = [4, 0, 8], places[:, 0] > 0
+    indices: tuple[Any, ...] = (
+        2, -1, few, mask, slice(2, 5), (0, 1), (0, [1, 2]), ([1, 2], 0), (slice(None), 0), (np.int64(3), mask),
+        (slice(1, 3), few), (few, slice(None)), np.ix_(few, [1, 2]), np.ix_(mask, few), np.ix_([0], [1]),
+    )  # fmt: skip
+    for which in indices:
+        assert placed[which].shape == matrix[which].shape
+        np.testing.assert_allclose(placed[which], matrix[which], atol=1e-12)
+    for pairs in (([0, 1], [2, 3]), (mask, mask), matrix > 1):
+        with pytest.raises(IndexError, match="cannot be indexed by pairs"):
+            placed[pairs]
 
 
 def test_medoids_of_places_leave_less_than_random_choices():

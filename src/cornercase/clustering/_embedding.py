@@ -32,7 +32,8 @@ class EmbeddedDistances:
     """Squared Euclidean distances of embedded scenarios, computed on demand; behaves like a matrix of shape (n, m).
 
     `rows`, shape (n, p), and `columns`, shape (m, p), are coordinates of scenarios; by default the columns are the same
-    scenarios as the rows. The matrix can be indexed by rows and by ``numpy.ix_``.
+    scenarios as the rows. The matrix can be indexed by rows, by rows and columns (at most one of the two as a list),
+    and by ``numpy.ix_``.
     """
 
     def __init__(self, rows: FloatArray, columns: FloatArray | None = None) -> None:
@@ -55,19 +56,25 @@ class EmbeddedDistances:
         return len(self._rows)
 
     def __getitem__(self, which: Any) -> FloatArray:
-        if isinstance(which, tuple):
-            rows, columns = (index.ravel() if isinstance(index, np.ndarray) else index for index in which)
-        else:
-            rows, columns = which, slice(None)
-        if isinstance(rows, (int, np.integer)):
-            row: FloatArray = self[[int(rows)]][0]
-            return row
+        rows, columns = which if isinstance(which, tuple) else (which, slice(None))
+        is_mesh = np.shape(rows)[1:] == (1,) and np.shape(columns)[:-1] == (1,)
+        if not is_mesh and np.ndim(rows) + np.ndim(columns) > 1:
+            raise IndexError(
+                "EmbeddedDistances cannot be indexed by pairs of scenarios or by a matrix; give numpy.ix_(rows,"
+                " columns)."
+            )
+        is_single = [isinstance(index, (int, np.integer)) for index in (rows, columns)]
+        rows, columns = (
+            np.ravel(index) if is_mesh or single else index
+            for index, single in zip((rows, columns), is_single, strict=True)
+        )
         distances = self._inner_products(rows, columns)
         distances *= -2.0
         distances += self._row_norms[rows][:, None]
         distances += self._column_norms[columns]
         np.maximum(distances, 0.0, out=distances)
-        return distances
+        selected: FloatArray = distances[tuple(0 if single else slice(None) for single in is_single)]
+        return selected
 
     def _inner_products(self, rows: Any, columns: Any) -> FloatArray:
         with single_threaded_blas():

@@ -325,7 +325,7 @@ def read_distances(study: StudyFile | Path | str, by: str) -> Distances:
     ndarray of float64, shape (n, n), or EmbeddedDistances
         Distances by Dynamic Time Warping between the scenarios in `Analysis.ids`, in the unit of the aspect. If not
         all pairs of scenarios were compared (`Analysis.embedding_error`), an `EmbeddedDistances` computes the distances
-        on demand from an embedding; index the object by rows or by ``numpy.ix_``.
+        on demand from an embedding; index the object by rows and columns or by ``numpy.ix_``.
 
     Raises
     ------
