@@ -222,6 +222,22 @@ def test_of_values_that_go_together_the_first_that_tells_is_named():
     assert list(names_of(told, labels).values()) == [f"{begin} 1", f"{begin} -1"]
 
 
+@pytest.mark.parametrize(
+    ("low", "high", "ends"),
+    [
+        ((1200, 1500), (1800, 2200), ["mass < 1600 kg", "mass > 1600 kg"]),
+        ((24_000, 26_000), (31_000, 40_000), ["mass < 30000 kg", "mass > 30000 kg"]),
+    ],
+)
+def test_bounds_from_a_thousand_on_are_written_without_an_exponent(low, high, ends):
+    space = ParameterSpace([Parameter("mass", 0, 50_000, unit="kg")])
+    masses = np.r_[np.linspace(*low, 10), np.linspace(*high, 10)]
+    told = Told.of([KINDS["before"][0]] * 20, "Ego", "P", space, [{"mass": mass} for mass in masses.tolist()])
+    labels = np.repeat([0, 1], 10)
+    require_true(told, labels)
+    assert [name.rpartition(", ")[2] for name in names_of(told, labels).values()] == ends
+
+
 def test_lane_changes_to_the_left_and_to_the_right_are_set_apart():
     def changing(to, k):
         aside = to * np.clip((np.arange(0.0, 20.05, 0.1) - 3.0 - 0.1 * k) / 3.0, 0.0, 1.0)

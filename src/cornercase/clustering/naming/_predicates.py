@@ -244,7 +244,7 @@ def _fit_bounds(
                 number = sign * float(bound) + 0.0
                 if number >= smallest_bound:
                     yield Predicate(
-                        text.format(f"{number:.{_BOUND_DIGITS[-1]}g}", other=quantity),
+                        text.format(f"{number:g}", other=quantity),
                         signed > float(bound),
                         f"{quantity}: {text}",
                     )
@@ -253,10 +253,10 @@ def _fit_bounds(
 def _shortest_number_between(low: float, high: float) -> str | None:
     """Return the shortest number in [low, high) as text; None if it needs more than three digits or an exponent.
 
-    Python writes numbers from 1,000 on with an exponent, since they have more than three digits before the point.
+    Numbers need an exponent below 0.0001 and from 1,000,000 on.
     """
     for digits in _BOUND_DIGITS:
-        text = f"{(low + high) / 2.0:.{digits}g}"
+        text = f"{float(f'{(low + high) / 2.0:.{digits}g}'):g}"
         if low <= float(text) < high and "e" not in text:
             return text
     return None
