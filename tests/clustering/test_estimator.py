@@ -49,6 +49,14 @@ def test_new_scenarios_join_the_clusters_that_are_there(method):
     assert (model.predict(cdist([[50.0, 50.0]], points)) == -1).all()
 
 
+def test_hdbscan_with_one_neighbour_finds_its_own_scenarios_again():
+    points = np.repeat([[0.0], [30.0]], 10, axis=0) + np.tile(np.arange(10.0), 2)[:, None]
+    distances = cdist(points, points)
+    model = ScenarioClustering(method="hdbscan", min_samples=1, gamma=1.0, eps=0.0).fit(distances)
+    assert (model.labels_ >= 0).any()
+    np.testing.assert_array_equal(model.predict(distances), model.labels_)
+
+
 def test_who_was_clustered_is_placed_where_it_is():
     points, _ = moons(80, 3)
     distances = cdist(points, points)

@@ -24,7 +24,7 @@ def cluster_by_density(embedding: FloatArray, eps: float, min_samples: int, meth
         labels = np.empty(len(embedding), dtype=np.int64)
         dbscan_labels(np.ascontiguousarray(embedding, dtype=np.float64), eps, min_samples, labels)
         return renumber_by_size(labels)
-    min_size = max(2, min_samples)
+    min_size = _hdbscan_min_samples(min_samples)
     if np.ptp(embedding, axis=0).max() <= eps or len(embedding) <= min_size:
         return np.zeros(len(embedding), dtype=np.int64)
     model = HDBSCAN(min_cluster_size=min_size, min_samples=min_size, cluster_selection_epsilon=eps, copy=True)
@@ -66,7 +66,12 @@ def _assignment_radius(clustering: Clustering) -> float:
     """Return the largest distance to a dense point at which a new scenario joins a cluster."""
     if clustering.method == "dbscan":
         return clustering.eps
-    # HDBSCAN has no radius: take the largest distance of a member to its min_samples-th neighbour.
+    # HDBSCAN has no radius: take the largest distance of a member to its min_samples-th neighbour, as HDBSCAN counts.
     members = clustering.embedding[clustering.labels >= 0]
     distances = np.sort(cdist(members, members), axis=1)
-    return float(distances[:, min(clustering.min_samples, len(members)) - 1].max(initial=0.0))
+    number = min(_hdbscan_min_samples(clustering.min_samples), len(members))
+    return float(distances[:, number - 1].max(initial=0.0))
+
+
+def _hdbscan_min_samples(min_samples: int) -> int:
+    return max(2, min_samples)

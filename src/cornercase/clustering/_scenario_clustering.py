@@ -250,7 +250,7 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
         As in DBSCAN, a scenario is dense if at least `min_samples` scenarios are within the radius `eps`. A new
         scenario joins the cluster of the nearest dense scenario, or is noise if no dense scenario is within `eps`. With
         HDBSCAN, every scenario in a cluster counts as dense, and the radius is the largest distance from a scenario in
-        a cluster to its `min_samples`-th neighbour, itself being the first.
+        a cluster to its `min_samples`-th neighbour, itself being the first, or to the second if `min_samples` is 1.
 
         Parameters
         ----------
