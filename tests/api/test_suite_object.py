@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import pytest
@@ -43,6 +44,22 @@ def test_a_suite_runs_beside_its_folder_and_writes_what_the_command_writes(reduc
     assert done.returncode in (0, 1), done.stderr
     for ending in ("xml", "md"):
         assert (tmp_path / f"verb.{ending}").read_bytes() == (tmp_path / f"command.{ending}").read_bytes()
+
+
+def test_the_run_of_the_suite_above_the_current_folder_is_beside_the_suite(reduced, tmp_path, monkeypatch):
+    suite = shutil.copytree(reduced, tmp_path / "suite")
+    (suite / "here").mkdir()
+    monkeypatch.chdir(suite / "here")
+    assert cc.Suite.open("..").run().study.resolve() == tmp_path / "suite.run.db"
+
+
+def test_the_run_of_a_suite_cannot_be_searched_on(reduced):
+    study = cc.Study.open(cc.Suite.open(reduced).run(require=["no collision"]).study)
+    words = "is the run of a suite, which has no search problem; give the study that was explored, or run the suite"
+    with pytest.raises(cc.InputError, match=words):
+        study.explore(budget=5)
+    with pytest.raises(cc.InputError, match=words):
+        _ = study.problem
 
 
 def test_the_table_of_a_result_has_a_row_per_scenario(reduced):

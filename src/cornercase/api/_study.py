@@ -268,7 +268,8 @@ class Study(PathLike[str]):
     def problem(self) -> Problem:
         """Search problem of the study; for an opened study, this reads the scenario file.
 
-        Raises `InputError` if the study has no search problem, as after an import of recordings.
+        Raises `InputError` if the study has no search problem, as after an import of recordings or in the run of a
+        suite.
         """
         if self._problem is not None:
             return self._problem
@@ -679,7 +680,8 @@ class Study(PathLike[str]):
         Raises
         ------
         InputError
-            The extra ``live`` is not installed, the address cannot be served, or the file is not a study.
+            The extra ``live`` is not installed, the address cannot be served, the file is not a study, or no scenario
+            was run yet.
         """
         from cornercase.report import watch
 

@@ -182,7 +182,11 @@ class Suite:
 
     def _default_study(self) -> Path:
         folder = self._contents.folder
-        return folder.with_name(f"{folder.resolve().name}.run.db") if folder.name else folder / "suite.run.db"
+        if not folder.name:
+            return folder / "suite.run.db"
+        # The parent of the path `..` would be the current folder.
+        parent = folder / ".." if folder.name == ".." else folder.parent
+        return parent / f"{folder.resolve().name}.run.db"
 
     def table(self) -> pd.DataFrame:
         """Make a table of the scenarios.

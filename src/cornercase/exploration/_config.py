@@ -373,6 +373,11 @@ def _collect_study_drivers(
 
 def read_logical_scenario(study: StudyFile, scenario: Path | str | ScenarioFile | None) -> LogicalScenario:
     """Read the scenario that was explored; by default the file is searched for. `InputError` if it is not found."""
+    if study.meta.suite:
+        raise InputError(
+            f"{study.path}: is the run of a suite, which has no search problem; give the study that was explored, or run"
+            " the suite again with `Suite.run`."
+        )
     source = find_explored_scenario(study, scenario, search_stored_path=True)
     if source is None:
         raise InputError(f"{study.path}: contains imported recordings, so no further scenario can be run.")
