@@ -184,6 +184,17 @@ def test_recordings_are_read_where_the_stored_series_are_too_coarse(tmp_path):
         assert (analysis.stride, study.unpacked) == (1, [1, 2, 3, 4, 5, 6])
 
 
+def test_a_digest_with_the_number_of_another_scenario_is_damage_that_verify_lists(explored, tmp_path):
+    path = tmp_path / "study.db"
+    path.write_bytes(explored[0].read_bytes())
+    with closing(sqlite3.connect(path)) as connection, connection:
+        connection.execute("UPDATE digests SET scenario = 1000 WHERE scenario = 7")
+    words = r"is damaged: its table digests has .*; `verify` lists all damage"
+    with StudyFile.open(path) as study, pytest.raises(cc.InputError, match=words):
+        list(study.iter_digests())
+    assert not verify(path).is_sound
+
+
 def test_a_lost_digest_is_found_and_made_again(explored, tmp_path):
     path = tmp_path / "study.db"
     path.write_bytes(explored[0].read_bytes())

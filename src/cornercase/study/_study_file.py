@@ -30,7 +30,7 @@ from cornercase.study._connection import remove_leftover_journals
 from cornercase.study._criterion import Criterion
 from cornercase.study._critical_run_rates import critical_run_rates
 from cornercase.study._criticality_order import order_by_criticality
-from cornercase.study._damage import require_condition, reraise_read_errors
+from cornercase.study._damage import DamageError, require_condition, reraise_read_errors
 from cornercase.study._database import Database
 from cornercase.study._meta import StudyMeta, hash_points_and_scores
 from cornercase.study._notes import MAX_NOTE_LENGTH
@@ -690,13 +690,14 @@ class StudyFile:
         count = 0
         with reraise_read_errors(self.path), closing(self._database.iter_rows("digests", with_blob=True)) as rows:
             for scenario, facts, packed in rows:
-                require_condition(
-                    count < len(ids) and ids[count] == scenario,
-                    f"the digest of the scenario {scenario} is not expected",
-                )
+                if count == len(ids) or ids[count] != scenario:
+                    raise DamageError.from_problem(
+                        self.path, f"its table digests has scenario {scenario} where another one is expected"
+                    )
                 count += 1
                 yield scenario, decode_digest(decode_digest_facts(facts), packed, self.meta, parts)
-            require_condition(count == len(ids), "a scenario has no digest")
+            if count < len(ids):
+                raise DamageError.from_problem(self.path, f"its table digests lacks scenario {ids[count]}")
 
     def digest(self, scenario: int) -> ScenarioDigest:
         """Read the digest of one scenario: the values that analysis and report need of its recording.
