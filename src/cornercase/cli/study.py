@@ -162,8 +162,8 @@ def reduce(
         float | None,
         Option(
             metavar="X",
-            help="Keep as few scenarios as possible, such that each other one is near a kept one: within this fraction"
-            " of the largest distance.",
+            help="Keep adding the scenario farthest from the kept ones until each other one is near a kept one: within"
+            " this fraction of the largest distance.",
         ),
     ] = None,
     ids: Annotated[

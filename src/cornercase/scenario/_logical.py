@@ -38,8 +38,8 @@ class ConcreteScenario:
     path : Path
         OpenSCENARIO file.
     values : mapping of str to float or str
-        Values of the parameters that differ from the defaults of the file, and of driver options, such as
-        ``"Ego.reaction"``.
+        Values of the parameters that are set, and of driver options, such as ``"Ego.reaction"``. All other parameters
+        have the defaults of the file.
     file : ScenarioFile, optional
         The parsed file; by default it is read when the scenario runs.
     seed : int, default 0

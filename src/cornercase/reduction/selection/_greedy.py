@@ -94,7 +94,7 @@ def select_scenarios(
         base.add(Selected(medoid, int(labels[medoid]), "gap"))
     if size is None:
         assert cover is not None
-        # Archetypes are left out, since a coverage is to be reached with as few scenarios as possible.
+        # Archetypes are left out, since a coverage is to be reached with few scenarios.
         nearest = base.distances_to(base.indices).min(axis=0)
         # Nearer ones are similar, so they are never selected.
         while nearest.max() > max(cover, SIMILAR_SHARE):
