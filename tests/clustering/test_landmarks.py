@@ -105,7 +105,7 @@ def test_places_are_indexed_like_a_matrix():
     few, mask = [4, 0, 8], places[:, 0] > 0
     indices: tuple[Any, ...] = (
         2, -1, few, mask, slice(2, 5), (0, 1), (0, [1, 2]), ([1, 2], 0), (slice(None), 0), (np.int64(3), mask),
-        (slice(1, 3), few), (few, slice(None)), np.ix_(few, [1, 2]), np.ix_(mask, few), np.ix_([0], [1]),
+        (slice(1, 3), few), (few, slice(None)), np.ix_(few, [1, 2]), np.ix_(mask, mask), np.ix_([0], [1]),
     )  # fmt: skip
     for which in indices:
         assert placed[which].shape == matrix[which].shape

@@ -12,7 +12,7 @@ from importlib.metadata import EntryPoint, EntryPoints
 from inspect import Parameter, signature
 from typing import Any, Final, Generic, NoReturn, TypeVar, cast
 
-from cornercase._common.configurable import annotated_types, declared_options
+from cornercase._common.configurable import Configurable, annotated_types, declared_options
 from cornercase._common.errors import InputError, suggest_name
 from cornercase._common.plugin_errors import (
     convert_plugin_errors,
@@ -413,7 +413,8 @@ def check_option_names(kind: str, name: str, factory: Callable[..., Any], option
             raise InputError(f"The {kind} '{name}' needs the option '{key}'; give it as in '{name}:{key}=value'.")
     if any(parameter.kind is parameter.VAR_KEYWORD for parameter in declared.parameters.values()):
         return
-    always_given = getattr(unwrap_factory(factory), "options_outside_name", ())
+    cls = unwrap_factory(factory)
+    always_given = cls.options_outside_name if isinstance(cls, type) and issubclass(cls, Configurable) else ()
     for key in options:
         if key in declared.parameters:
             continue
@@ -422,8 +423,8 @@ def check_option_names(kind: str, name: str, factory: Callable[..., Any], option
                 f"The {kind} '{name}' does not accept the argument '{key}', which cornercase always gives; add it to"
                 " the constructor."
             )
-        known = declared_options(factory)
-        advice = suggest_name(key, known) if known else "its constructor declares none."
+        valid_options = declared_options(factory)
+        advice = suggest_name(key, valid_options) if valid_options else "its constructor declares none."
         raise InputError(f"The {kind} '{name}' has no option '{key}'; {advice}")
 
 

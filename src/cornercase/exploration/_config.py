@@ -375,8 +375,8 @@ def read_logical_scenario(study: StudyFile, scenario: Path | str | ScenarioFile 
     """Read the scenario that was explored; by default the file is searched for. `InputError` if it is not found."""
     if study.meta.suite:
         raise InputError(
-            f"{study.path}: is the run of a suite, which has no search problem; give the study that was explored, or run"
-            " the suite again with `Suite.run`."
+            f"{study.path}: is the run of a suite, which has no search problem; give the study that was explored, or"
+            " run the suite again with `Suite.run`."
         )
     source = find_explored_scenario(study, scenario, search_stored_path=True)
     if source is None:
