@@ -8,13 +8,18 @@ import os
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from conftest import at_night
 from cornercase._common.errors import InputError
 from cornercase._common.io.files import read_file
+from cornercase.clustering import analyze
 from cornercase.reduction import _reduced_set_folder as set_folder
+from cornercase.reduction import reduce
 from cornercase.reduction._reduced_set_folder import MANIFEST, complete_replacement, replace_reduced_set
+from cornercase.study import import_recordings
+from helpers.two_cars import met
 
 OLD = {"s-00001.xosc": b"one", "s-00002.xosc": b"two", "s-00003.xosc": b"three", "road.xodr": b"road"}
 NEW = {"s-00002.xosc": b"two again", "s-00004.xosc": b"four", "catalogs/c/c.xosc": b"catalog", "road.xodr": b"new road"}
@@ -76,6 +81,22 @@ def test_stumble_6_a_smaller_set_leaves_nothing_of_a_larger_one_and_all_of_other
     assert sets(tmp_path) == NEW
     others = {"mine.txt": b"mine", "s-00009.xosc": b"mine too"}
     assert content(tmp_path) == NEW | others | {MANIFEST: (tmp_path / MANIFEST).read_bytes()}
+
+
+def test_a_set_of_recordings_that_lie_elsewhere_takes_the_place_of_one_with_files(tmp_path):
+    runs, folder = tmp_path / "runs", tmp_path / "set"
+    (runs / "later").mkdir(parents=True)
+    files = ["later/00001.csv", str(tmp_path / "00002.csv"), "../00003.csv", "later/00004.csv"]
+    for k, name in enumerate(files):
+        met((np.arange(6.0), 0.0, 0.0, 10.0), (np.arange(6.0) + 20.0 - k, 0.0, 0.0, 10.0)).to_csv(runs / name)
+    (runs / "parameters.csv").write_text("file,gap\n" + "".join(f"{name},{k}\n" for k, name in enumerate(files)))
+    import_recordings(runs, tmp_path / "s.db", ego="Ego", other="Other", metrics=["distance"])
+    analyze(tmp_path / "s.db", by="distance")
+    write(folder, OLD)
+    reduced = reduce(tmp_path / "s.db", folder, size=4)
+    assert sorted(scenario.file for scenario in reduced.scenarios) == sorted(files)
+    assert content(folder).keys() == {MANIFEST, "road.xodr"}
+    assert not list(folder.glob(".cornercase-*"))
 
 
 def test_a_file_that_somebody_has_changed_is_not_removed(tmp_path):

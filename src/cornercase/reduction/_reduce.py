@@ -377,7 +377,8 @@ def _write_files_and_store(
 ) -> None:
     """Write the selected scenarios and the manifest, and store the reduced set in the study.
 
-    If an error occurs, neither the folder nor the study changes.
+    If an error occurs before the new manifest is in the folder, neither the folder nor the study changes. After that,
+    the new set counts, and the next reader or writer of the folder moves the files that are missing.
     """
     with replace_reduced_set(folder) as set_folder:
         if scenario is not None:

@@ -158,12 +158,13 @@ def complete_replacement(folder: Path) -> None:
     if not manifest.is_file() or not _is_replacement_interrupted(folder):
         return
     hidden = folder / _hidden_name(read_file(manifest))
-    new_files, earlier = (
-        _file_digests(_read_manifest(manifest)),
+    current, earlier = (
+        _read_manifest(manifest),
         _read_manifest(hidden / _EARLIER_MANIFEST) if (hidden / _EARLIER_MANIFEST).is_file() else {},
     )
-    if not new_files:
+    if not isinstance(current.get("scenarios"), list):
         return
+    new_files = _file_digests(current)
     try:
         # If the manifest were lost, the files that are moved below would belong to no set.
         fsync_folder(folder)
@@ -241,11 +242,12 @@ def _read_manifest(manifest: Path) -> dict[str, Any]:
 def _file_digests(manifest_values: Mapping[str, Any]) -> dict[str, str]:
     """Return the SHA-256 of each file of a set, by path.
 
-    The digests are empty if an early version of cornercase wrote the set.
+    The digests are empty if an early version of cornercase wrote the set. A set of imported recordings has no files:
+    its scenarios name the recordings, which are not in the folder.
     """
     try:
-        files = {str(scenario["file"]): "" for scenario in manifest_values["scenarios"]}
-        return files | {str(path): str(digest) for path, digest in manifest_values.get("files", {}).items()}
+        scenario_files = {str(scenario["file"]): "" for scenario in manifest_values["scenarios"]}
+        return {str(path): str(digest) for path, digest in manifest_values.get("files", scenario_files).items()}
     except _MALFORMED_ERRORS:
         return {}
 
