@@ -68,7 +68,7 @@ def write_erg(path, columns):
     path.with_name(path.name + ".info").write_text("\n".join(about) + "\n")
 
 
-def carla(path):
+def carla(path, roles=("hero", "")):
     """A hero of 5 m x 2 m whose box is 0.1 m ahead of its origin, and a walker 30 m ahead, in CARLA's axes and cm."""
 
     def text(value):
@@ -82,7 +82,7 @@ def carla(path):
         return body + b"\0" + text("role_name") + text(role)
 
     data = struct.pack("<H", 1) + text("CARLA_RECORDER") + struct.pack("<q", 0) + text("Town01")
-    added = [actor(5, 1, "vehicle.a.b", "hero"), actor(6, 2, "walker.pedestrian.0001", "")]
+    added = [actor(5, 1, "vehicle.a.b", roles[0]), actor(6, 2, "walker.pedestrian.0001", roles[1])]
     added.append(actor(7, 3, "traffic.traffic_light", ""))
     for k, t in enumerate(TIME):
         data += packet(0, struct.pack("<Qdd", k, 0.1, t))

@@ -71,6 +71,19 @@ def test_a_real_recording_of_carla():
     assert found.collisions == ()
 
 
+@pytest.mark.parametrize(
+    ("roles", "names"),
+    [
+        (("my car", "my truck"), ("my car", "my truck")),
+        (("my car", "my car"), ("my car 5", "my car 6")),
+        (("hero", "hero 5"), ("hero", "hero 5 6")),
+    ],
+)
+def test_carlas_roles_may_have_spaces(tmp_path, roles, names):
+    foreign.carla(tmp_path / "a.log", roles)
+    assert read_recording(tmp_path / "a.log").names == names
+
+
 @pytest.mark.parametrize("name", FILES)
 @pytest.mark.parametrize("tenth", range(10))
 def test_what_is_cut_off_is_said_in_one_sentence(tmp_path, name, tenth):

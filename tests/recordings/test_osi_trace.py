@@ -8,12 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from osi3.osi_object_pb2 import MovingObject
+from osi3.osi_sensorview_pb2 import SensorView
 from osi3trace.osi_trace import OSITrace
 
 import cornercase as cc
 from conftest import EXAMPLES
 from cornercase.recordings import Recording, read_recording, write_osi
 from helpers.command_line import cornercase
+from helpers.two_cars import met
 
 
 @pytest.fixture
@@ -63,6 +65,22 @@ def test_cornercase_reads_back_what_it_wrote(tmp_path, recording):
     exists = np.isfinite(recording.x)
     np.testing.assert_allclose(read.speed[exists], recording.speed[exists], atol=1e-9)
     assert np.array_equal(np.isfinite(read.x), exists)
+
+
+def test_objects_may_appear_after_the_first_message(tmp_path):
+    appearing = met((np.arange(6.0), 0.0, 0.0, 10.0), (np.arange(6.0) + 20.0, 0.0, 0.0, 10.0))
+    appearing.x[:, :2] = np.nan
+    write_osi(tmp_path / "run.osi", appearing)
+    read = read_recording(tmp_path / "run.osi")
+    np.testing.assert_allclose(read.time, appearing.time[2:], atol=1e-9)
+    np.testing.assert_allclose(read.x, appearing.x[:, 2:], atol=1e-9)
+    trace = OSITrace(str(tmp_path / "run.osi"), "GroundTruth")
+    with open(tmp_path / "views.osi", "wb") as file:
+        for truth in trace:
+            view = SensorView(version=truth.version, timestamp=truth.timestamp, global_ground_truth=truth)
+            file.write(view.ByteSize().to_bytes(4, "little") + view.SerializeToString())
+    trace.close()
+    np.testing.assert_array_equal(read_recording(tmp_path / "views.osi").x, read.x)
 
 
 def test_the_centre_of_a_turning_car_moves_sideways(tmp_path):

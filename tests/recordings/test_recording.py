@@ -180,6 +180,13 @@ def test_names_with_spaces_keep_their_collisions(tmp_path):
     assert not (tmp_path / "s.csv").exists()
 
 
+def test_a_name_may_begin_or_end_with_a_space(tmp_path):
+    hit = Collision(0.1, (" ego", "walker "))
+    named = replace(recording(), names=(" ego", "walker "), collisions=(hit,))
+    named.to_csv(tmp_path / "r.csv")
+    assert read_recording(tmp_path / "r.csv").collisions == (hit,)
+
+
 def test_a_second_row_of_one_entity_and_time_is_refused(tmp_path):
     recording().to_csv(tmp_path / "r.csv")
     lines = (tmp_path / "r.csv").read_text().splitlines()

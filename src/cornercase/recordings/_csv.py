@@ -137,7 +137,9 @@ def _refuse_duplicate_rows(path: Path, lines: list[int], keys: IntArray) -> None
 
 def _parse_collision_cell(path: Path, line: int, text: str, names: set[str]) -> list[str]:
     """Return the names of the entities in a cell of the column ``collision``."""
-    names_touched = [part.strip() for part in text.split(";") if part.strip()]
+    names_touched = [
+        part if part in names else part.strip() for part in text.split(";") if part in names or part.strip()
+    ]
     for name in names_touched:
         if name not in names:
             raise InputError(

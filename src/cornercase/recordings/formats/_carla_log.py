@@ -54,8 +54,9 @@ def read_carla_log(path: Path | str) -> Recording:
         actors, touched = _parse_actors_and_collisions(data)
     except (struct.error, UnicodeDecodeError, IndexError) as error:
         raise InputError(f"{path}: is cut off or damaged; record it again.") from error
-    roles = [actor.name.partition(" ")[0] for actor in actors]
-    often = Counter(roles)
+    # A role may have spaces, too, or end in a number like that of an actor.
+    roles = [actor.name.rpartition(" ")[0] for actor in actors]
+    often = Counter([*roles, *(actor.name for actor in actors)])
     tracks: dict[str, EntitySamples] = {}
     names: dict[str, str] = {}
     for actor, role in zip(actors, roles, strict=True):

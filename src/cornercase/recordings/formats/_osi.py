@@ -95,16 +95,22 @@ def _find_entity_name(moving_object: Any) -> str:
 def _iter_ground_truths(path: Path) -> Iterator[Any]:
     """Yield the GroundTruth of each message.
 
-    Messages of type SensorView are read if the first of them contains moving objects, otherwise messages of type
-    GroundTruth. Raises InputError if the first of these contains no moving objects, either.
+    The type of the messages, SensorView or GroundTruth, is the one as which moving objects are found first. Raises
+    InputError if no message contains moving objects.
     """
-    for kind in ("SensorView", "GroundTruth"):
-        truths = (m.global_ground_truth if kind == "SensorView" else m for m in _iter_messages(path, kind))
-        first = next(truths, None)
-        if first is not None and first.moving_object:
-            yield first
-            yield from truths
-            return
+    streams: list[Iterator[Any]] = [
+        (view.global_ground_truth for view in _iter_messages(path, "SensorView")),
+        _iter_messages(path, "GroundTruth"),
+    ]
+    while streams:
+        for stream in tuple(streams):
+            truth = next(stream, None)
+            if truth is None:
+                streams.remove(stream)
+            elif truth.moving_object:
+                yield truth
+                yield from stream
+                return
     raise InputError(f"{path}: holds no GroundTruth or SensorView messages with moving objects.")
 
 
