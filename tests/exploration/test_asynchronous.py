@@ -29,6 +29,7 @@ from cornercase.study import StudyFile
 from helpers import synthetic_study as synthetic
 from helpers.checksums import reseal
 from helpers.synthetic_study import LOGICAL, SPACE, Synthetic
+from helpers.waiting import until
 
 pytestmark = pytest.mark.filterwarnings("ignore:without effect")
 
@@ -295,6 +296,24 @@ def test_an_optimizer_that_only_asks_and_tells_is_told_the_mean_of_what_runs(tmp
     assert 1 <= len(known) <= 4
     lies = Plain.lies[2]
     assert lies[-1] == pytest.approx(np.mean(known))
+
+
+class SearchWaits(Slow):
+    """Ends what the optimizer proposed, near a = b = 0, only after the optimizer was asked a second time."""
+
+    def run(self, concretes):
+        if concretes[0].values["b"] < 0.01:
+            until(lambda: len(Plain.lies) >= 2)
+        yield from super().run(concretes)
+
+
+def test_an_audit_may_end_before_anything_that_the_optimizer_proposed(tmp_path):
+    Plain.lies.clear()
+    result = explored(tmp_path / "s.db", about(budget=8, audit=0.5), SearchWaits(4), Plain().start(SPACE, 0))
+    assert result.n_finished == 8
+    # Nothing is known of those that run then.
+    assert len(Plain.lies[1]) > 0
+    assert np.isnan(Plain.lies[1]).all()
 
 
 class Noisy(Synthetic):

@@ -182,7 +182,7 @@ class ScenarioExplorer:
 
     def run(self, progress: bool = False) -> ExplorationResult:
         """Explore until a termination criterion holds; `progress` shows best score, rate and remaining time."""
-        self._ask_tell = AskTell(self._optimizer, self._study.space, self._study.meta.asynchronous)
+        self._ask_tell = AskTell(self._optimizer, self._study, self._objective)
         self._proposal_source = ProposalSource(self._ask_tell, self._study)
         before, n_stored = len(self._study.finished_rows()), len(self._study.rows())
         bar = ProgressBar(self._config.budget, "exploring", "scenarios") if progress else None

@@ -17,9 +17,9 @@ from cornercase._common.typing import FloatArray
 from cornercase._common.validation import repr_short
 from cornercase.exploration._study_critical_set import audit_sampler
 from cornercase.optimizers import Optimizer
-from cornercase.scenario import ParameterSpace
 from cornercase.study import ScenarioRecord, StudyFile
 from cornercase.study._meta import count_audits
+from cornercase.study._objective import Objective
 
 # Largest distance from the unit cube that rounding explains.
 _ROUNDING: Final = 1e-9
@@ -32,11 +32,15 @@ class AskTell:
     `ask`, with d parameters each.
     """
 
-    def __init__(self, optimizer: Optimizer, space: ParameterSpace, asynchronous: bool) -> None:
-        self._optimizer, self._space, self._asynchronous = optimizer, space, asynchronous
+    def __init__(self, optimizer: Optimizer, study: StudyFile, objective: Objective) -> None:
+        self._optimizer, self._space, self._asynchronous = optimizer, study.space, study.meta.asynchronous
         self.pending: FloatArray | None = None
         self._name = f"The optimizer '{optimizer}'"
-        self._result_sums: list[list[FloatArray]] = []
+        # Running sums and counts, so that the mean costs the same however many results there are.
+        shapes = [objective.least_critical_scores.shape if objective.pareto else ()]
+        if "features" in optimizer.requires:
+            shapes.append(study.features([None])[0].shape)
+        self._result_sums = [(np.zeros(shape), np.zeros(shape)) for shape in shapes]
 
     def ask(self, n: int) -> FloatArray:
         """Return at most `n` points that the optimizer proposes, shape (m, d); `InputError` if points are invalid."""
@@ -79,12 +83,10 @@ class AskTell:
         with convert_plugin_errors(self._name, self._optimizer, "in tell"):
             tell(points, *results)
         if self._asynchronous:
-            # Running sums and counts, so that the mean costs the same however many results there are.
-            finite = [np.isfinite(result) for result in results]
-            new = [np.where(mask, result, 0.0).sum(axis=0) for mask, result in zip(finite, results, strict=True)]
-            counts = [mask.sum(axis=0) for mask in finite]
-            before = self._result_sums or [[np.zeros_like(result), np.zeros_like(result)] for result in new]
-            self._result_sums = [[a + n, b + c] for (a, b), n, c in zip(before, new, counts, strict=True)]
+            for k, (result, (total, count)) in enumerate(zip(results, self._result_sums, strict=True)):
+                finite = np.isfinite(result)
+                new_total = total + np.where(finite, result, 0.0).sum(axis=0)
+                self._result_sums[k] = (new_total, count + finite.sum(axis=0))
 
     def _pseudo_results(self, count: int) -> list[FloatArray]:
         """Return results to assume for `count` running points (constant liar): the mean of all results, or NaN."""

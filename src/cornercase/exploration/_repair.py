@@ -316,7 +316,7 @@ class _RepairExplorer(ScenarioExplorer):
             # All rounds are known, so the optimizer is not needed.
             self._simulate_rows([row for row in self._study.rows() if row.state == "pending"], None)
             return
-        self._ask_tell = AskTell(self._optimizer, self._study.space, self._study.meta.asynchronous)
+        self._ask_tell = AskTell(self._optimizer, self._study, self._objective)
         self._proposal_source = ProposalSource(self._ask_tell, self._study)
         minimized = self._objective.minimized_scores(self._study)
         scores: dict[int, Any] = dict(zip((row.id for row in self._study.finished_rows()), minimized, strict=True))

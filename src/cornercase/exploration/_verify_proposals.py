@@ -40,7 +40,7 @@ def _find_first_difference(study: StudyFile, objective: Objective, optimizer: Op
     results = _StoredResults(study, objective, "features" in optimizer.requires)
     if (warm_start := study.warm_start_data()) is not None:
         optimizer.warm_start(*warm_start)
-    search = AskTell(optimizer, study.space, study.meta.asynchronous)
+    search = AskTell(optimizer, study, objective)
     rows = study.rows()
     stored_values = study.space.values(np.array([row.point for row in rows]).reshape(-1, study.space.dimension))
     if mismatch := next(

@@ -210,7 +210,7 @@ class Optimizer(Configurable, ABC):
             Points that were proposed and have no result yet, in the order in which they were proposed.
         *pseudo_results : ndarray of float64, shape (p,), (p, k) or (p, f)
             Results that are assumed for the pending points: one array for each argument of `tell` after the points, in
-            the same order (k scores or f features of a point).
+            the same order (k scores or f features of a point). NaN as long as no scenario has a result.
 
         Returns
         -------
