@@ -10,7 +10,7 @@ from scipy.spatial.distance import pdist, squareform
 from conftest import examples
 from cornercase._common.errors import InputError
 from cornercase.reduction._coverage import measure_coverage
-from cornercase.reduction._hulls import find_convex_hull, find_hull_archetypes
+from cornercase.reduction._hulls import find_convex_hull, find_hull_archetypes, find_hull_edges
 from cornercase.reduction._medoids import find_prototype
 from cornercase.reduction._selection_state import Selected
 from cornercase.reduction.selection._per_cluster import select_per_cluster
@@ -70,6 +70,16 @@ def test_flat_hulls(points, vertices, facets):
     assert hull.vertices.tolist() == vertices
     assert hull.simplices.shape == facets
     assert set(hull.simplices.ravel().tolist()) <= set(vertices)
+
+
+def test_a_hull_on_a_line_has_an_edge_from_end_to_end():
+    square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+    line = np.array([[0.4, 0.4], [0.0, 0.0], [1.0, 1.0]])
+    # Two near-convex parts of a cluster on a line, and a part that spans the plane.
+    facets = [facet for points in (line, square, line) for facet in find_convex_hull(points).simplices.tolist()]
+    assert find_hull_edges(facets) == [(0, 1), (0, 3), (1, 2), (2, 3)]
+    assert find_hull_edges(find_convex_hull(line).simplices.tolist()) == [(1, 2)]
+    assert find_hull_edges(find_convex_hull(line[:1]).simplices.tolist()) == []
 
 
 def test_few_archetypes_are_spread_over_the_hull():

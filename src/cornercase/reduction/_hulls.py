@@ -7,7 +7,9 @@ lie on the hull.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 import numpy.typing as npt
@@ -61,6 +63,14 @@ def find_convex_hull(points: npt.ArrayLike) -> Hull:
         return Hull(first[:1], np.empty((0, 0), dtype=np.int64))
     ends = np.sort(first[[int(projected[:, 0].argmin()), int(projected[:, 0].argmax())]])
     return Hull(ends, ends[:, None])
+
+
+def find_hull_edges(facets: Iterable[Sequence[int]]) -> list[tuple[int, int]]:
+    """Return the edges of hulls, in ascending order; a hull on a line has two facets in a row, which are its ends."""
+    facets = list(facets)
+    ends = [facet[0] for facet in facets if len(facet) == 1]
+    pairs = [pair for facet in facets for pair in combinations(facet, 2)]
+    return sorted({(min(pair), max(pair)) for pair in (*pairs, *zip(ends[::2], ends[1::2], strict=False))})
 
 
 def find_hull_archetypes(points: npt.ArrayLike, k: int | None = None) -> IntArray:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from itertools import combinations
 from typing import Any
 
 import numpy as np
 
 from cornercase._common.typing import FloatArray
 from cornercase.reduction._coverage import percent_within
+from cornercase.reduction._hulls import find_hull_edges
 from cornercase.report._report_data import ReportData
 from cornercase.study._objective import Objective
 
@@ -92,11 +92,7 @@ def hull_edges(data: ReportData) -> dict[str, list[list[int]]]:
     """Return the edges of the hull of each cluster in the parameter space, by cluster: pairs of scenario ids."""
     reduced = data.summary.reduced_set
     hulls = {} if reduced is None else reduced.hulls
-    edges_by_cluster = {}
-    for cluster, facets in hulls.items():
-        edges = {(min(pair), max(pair)) for facet in facets for pair in combinations(facet, 2)}
-        edges_by_cluster[str(cluster)] = [list(pair) for pair in sorted(edges)]
-    return edges_by_cluster
+    return {str(cluster): [list(pair) for pair in find_hull_edges(facets)] for cluster, facets in hulls.items()}
 
 
 def _rounded_list(values: FloatArray) -> list[float | None]:

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.metrics import Metric
 from cornercase.reduction import ReducedSet
+from cornercase.reduction._hulls import find_hull_edges
 from cornercase.report.figures._style import cluster_style, format_score_label, label_axis
 from cornercase.scenario import Parameter
 
@@ -119,8 +120,7 @@ def draw_hulls_and_reduced_set(
 
     for label, facets in reduced.hulls.items():
         colour, _, _ = cluster_style(label)
-        edges = {tuple(sorted(pair)) for facet in facets for pair in combinations(facet, 2)}
-        for a, b in sorted(edges):
+        for a, b in find_hull_edges(facets):
             axis.plot(*coordinates([row_by_id[a], row_by_id[b]]).T, color=colour, linewidth=0.7, alpha=0.55)
     for label in sorted({scenario.cluster for scenario in reduced.scenarios}):
         colour, _, name = cluster_style(label)
