@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import signal
 import socket
 import sqlite3
@@ -338,6 +339,18 @@ def test_42_16_nothing_is_told_of_scenarios_that_were_not_read_yet(tmp_path, who
         time.sleep(0.1)
     follower.state = StudyProgress("live", run=5)
     until(lambda: event() == "contents")
+    finder.stop()
+
+
+def test_what_could_not_be_read_is_read_again_without_a_further_change(tmp_path, whole):
+    follower = StudyFollower(tmp_path / "s.db")
+    follower.state, follower.n_changes = StudyProgress("live", run=12), 1
+    finder = AnalysisWorker(follower)
+    finder.start()
+    # Long enough for a first look; on a busy machine the first one may already find the study.
+    time.sleep(1.0)
+    shutil.copy(whole, tmp_path / "s.db")
+    until(lambda: finder.latest.parts)
     finder.stop()
 
 

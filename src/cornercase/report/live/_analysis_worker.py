@@ -117,7 +117,7 @@ class AnalysisWorker:
                 result = _analyze_study(self._follower.path, self._road_and_rerun)
                 if result is not None and self._wait_for_follower(change[0], result[0]["known_of"]):
                     self._publish(change[0], *result)
-            last_change = change
+                last_change = change
             self._stop_event.wait(max(_MIN_INTERVAL, _INTERVAL_FACTOR * (time.monotonic() - start)))
 
     def _wait_for_follower(self, epoch: str, n_scenarios: int) -> bool:
