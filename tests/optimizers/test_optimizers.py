@@ -64,6 +64,11 @@ def test_rare_values_of_a_finite_space_are_run_in_the_end(make):
     assert seen == {(s, float(t)) for s in "xyz" for t in range(10)}
 
 
+def test_a_large_finite_space_is_proposed_completely_at_once():
+    space = ParameterSpace.from_ranges(["a=1:131073:1"])
+    assert len(Random().start(space, 0).ask(131073)) == 131073
+
+
 def test_a_grid_has_every_combination_once():
     points = Grid().start(CUBE, 0, budget=30).ask(100)
     middles = (1 / 6, 1 / 2, 5 / 6)

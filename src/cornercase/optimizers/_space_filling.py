@@ -79,13 +79,15 @@ class SequenceOptimizer(Optimizer):
 
         Returns False if there are no more points.
         """
-        size = self._space.size
-        if self._is_exhausted or self._n_drawn >= _MAX_DRAWN + 4 * len(self._deduplicator):
+        if self._is_exhausted:
             return False
+        size = self._space.size
         finite_size = size if size is not None and size <= _MAX_DRAWN // 4 else None
         if finite_size is not None and self._n_drawn >= 4 * finite_size:
             points = np.random.default_rng(self._seed).permutation(self._space.full_factorial())
             self._is_exhausted = True
+        elif self._n_drawn >= _MAX_DRAWN + 4 * len(self._deduplicator):
+            return False
         else:
             count = max(_CHUNK, self._n_drawn)
             while finite_size is None and count < min(missing, _MAX_DRAWN):
