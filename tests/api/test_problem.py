@@ -63,6 +63,10 @@ def test_it_says_what_is_critical(scenario, arguments, criterion):
             {"condition": "no collision with Pedestrain"},
             "no entity 'Pedestrain' to be the one that collides in `condition`; did you mean 'Pedestrian'",
         ),
+        (
+            {"metrics": ["wttc", "stl:always(no collision with Pedestrain)"]},
+            "no entity 'Pedestrain' to be the one that collides in the metric stl:always.*; did you mean 'Pedestrian'",
+        ),
         ({"condition": "gap < 1"}, "add a metric of your own with METRICS.register first; known are: "),
         ({"scenario": "x.xosc"}, "give a scenario that `LogicalScenario.read` has read"),
         ({"metrics": cc.metrics.Ttc}, "`metrics`: Ttc is a class; give an object of it, as in Ttc"),

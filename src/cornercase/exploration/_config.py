@@ -28,7 +28,7 @@ from cornercase.exploration._explore_options import (
     ExplorationOptions,
     read_stored_options,
 )
-from cornercase.metrics import METRICS, CriticalIf, Expression, Metric
+from cornercase.metrics import METRICS, CriticalIf, Expression, Metric, Stl
 from cornercase.metrics._other_entities import ALL_OTHERS, resolve_others
 from cornercase.metrics._own_metrics import StoredMetric, as_metric_tuple, name_or_own_metric, resolve_metrics
 from cornercase.optimizers import OPTIMIZERS, Optimizer
@@ -161,6 +161,9 @@ class ExplorationConfig(ExplorationOptions):
                 if entity == self.ego:
                     raise InputError(f"`critical_if` {self.critical_if}: names the ego itself; name another entity.")
                 self.logical.scenario_file.require_entity(entity, "one that collides in `critical_if`")
+        for metric in resolve_metrics(self.metrics):
+            for entity in metric.formula.entities if isinstance(metric, Stl) else ():
+                self.logical.scenario_file.require_entity(entity, f"one that collides in the metric {metric.name}")
 
     def make_objective(self, metrics: Sequence[Metric] | None = None, *, needs_threshold: bool = False) -> Objective:
         """Create the objective of the search from metrics, weights, Pareto option and threshold.
