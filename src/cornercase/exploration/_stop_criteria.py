@@ -51,9 +51,8 @@ class StopCriteria:
         self._points, self._scores = np.zeros((0, space.dimension)), np.zeros(0)
         self._audit_points, self._audit_scores = self._points, self._scores
         self._features: list[FloatArray] = []
-        # Number of scenarios before the last results were added, or at the last check of the criteria.
-        self._n_before = 0
-        self._checks_again = False
+        # How many scenarios and audits the check that is due uses, None for all; None if no check is due.
+        self._due: tuple[int | None, int | None] | None = None
 
     @property
     def has_criteria(self) -> bool:
@@ -66,10 +65,12 @@ class StopCriteria:
         Lower scores are more critical. Scores and features are NaN if the scenario failed.
         """
         if self._criteria:
-            self._n_before = len(self._scores)
+            n_before = len(self._scores)
             self._features += [] if features is None else [features]
             self._points = np.concatenate([self._points, points])
             self._scores = np.concatenate([self._scores, scores])
+            if _n_checks(len(self._scores)) > _n_checks(n_before):
+                self._due = len(self._scores), len(self._audit_scores)
 
     def add_audits(self, points: FloatArray, scores: FloatArray) -> None:
         """Add the points and scores of audits, like `add_results`."""
@@ -81,12 +82,12 @@ class StopCriteria:
         """Describe how well the critical set is known if all criteria hold, else None.
 
         Criteria are checked whenever the number of scenarios has grown by a tenth. When they are checked depends on the
-        number of scenarios alone, so a resumed search ends like an uninterrupted search.
+        number of scenarios alone, so a resumed search ends like an uninterrupted search. It first repeats the last
+        check that was due, with the scenarios of that time, since its criteria may be new.
         """
-        if _n_checks(len(self._scores)) == _n_checks(self._n_before) and not self._checks_again:
+        if self._due is None:
             return None
-        self._n_before, self._checks_again = len(self._scores), False
-        values = self._values()
+        values, self._due = self._values(*self._due), None
         if values is None or not all(value < rule.bound for rule, value in values):
             return None
         return " and ".join(rule.describe_value(value) for rule, value in values)
@@ -96,7 +97,7 @@ class StopCriteria:
 
         So a resumed search that had ended by its criteria ends again at once if the criteria still hold.
         """
-        self._checks_again = True
+        self._due = None, None
 
     def describe_not_reached(self) -> str:
         """Return which criteria do not hold, as text to append to a sentence; empty if all criteria hold."""
@@ -111,22 +112,28 @@ class StopCriteria:
             if value >= rule.bound
         )
 
-    def _values(self) -> list[tuple[StopCriterion, float]] | None:
-        """Return each criterion with the value of its quantity; None if too little is known."""
-        if not self._criteria or self._criterion is None or len(self._scores) < _MIN_SCENARIOS:
+    def _values(
+        self, n_scenarios: int | None = None, n_audits: int | None = None
+    ) -> list[tuple[StopCriterion, float]] | None:
+        """Return each criterion with the value of its quantity; None if too little is known.
+
+        Only the first `n_scenarios` and `n_audits` count; all by default.
+        """
+        points, scores = self._points[:n_scenarios], self._scores[:n_scenarios]
+        if not self._criteria or self._criterion is None or len(scores) < _MIN_SCENARIOS:
             return None
         features = None
-        if self._features and uses_features_for_critical_set(self._optimizer, int(np.isfinite(self._scores).sum())):
-            features = registered_features(), np.concatenate(self._features)
+        if self._features and uses_features_for_critical_set(self._optimizer, int(np.isfinite(scores).sum())):
+            features = registered_features(), np.concatenate(self._features)[:n_scenarios]
         try:
             critical_set = CriticalSet(
                 self._space,
-                self._points,
-                self._scores,
+                points,
+                scores,
                 self._criterion,
                 self._seed,
-                initial_design=is_score_independent(self._optimizer, self._space, self._seed, self._points),
-                audits=(self._audit_points, self._audit_scores),
+                initial_design=is_score_independent(self._optimizer, self._space, self._seed, points),
+                audits=(self._audit_points[:n_audits], self._audit_scores[:n_audits]),
                 features=features,
                 source_model=self._source_model,
             )
