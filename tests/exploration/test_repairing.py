@@ -291,3 +291,35 @@ def test_a_repair_runs_no_driver_that_only_the_condition_of_a_study_names(tmp_pa
     assert not (tmp_path / "was-run").exists()
     assert "named_only" not in sys.modules
     assert study.read_bytes() == before
+
+
+@pytest.mark.usefixtures("no_cache")
+def test_a_repair_decides_again_with_the_road_who_is_at_fault_or_says_that_it_could_not(tmp_path, monkeypatch):
+    for file in (X.parents[1] / "t_intersection").iterdir():
+        shutil.copy(file, tmp_path)
+    scenario, study = tmp_path / "t_intersection.xosc", tmp_path / "s.db"
+    cc.explore(
+        scenario, study, ego="Ego", other="C", metrics=["wttc"], drivers={"Ego": "normal"}, optimizer="sobol",
+        budget=1, duration=15.0,
+        ranges=["ego_sync_s=10.3:10.31", "c_start_time=4.58:4.581", "c_routing_distance=36.6:36.61"],
+    )  # fmt: skip
+
+    def culprits() -> list[str]:
+        with StudyFile.open(study) as opened:
+            return [hit.fault.who for hits in opened.impacts().values() for hit in hits if hit.fault]
+
+    def lose_digests() -> None:
+        with closing(sqlite3.connect(study)) as connection, connection:
+            connection.execute("DELETE FROM digests")
+
+    before = culprits()
+    assert before == ["ego"]
+    lose_digests()
+    assert repair.repair(study).lost_content == ()
+    assert culprits() == before
+    lose_digests()
+    scenario.unlink()
+    monkeypatch.chdir(tmp_path)
+    lost = " ".join(repair.repair(study).lost_content)
+    assert "who is at fault in scenario 1, as far as the road says so" in lost
+    assert "the scenario file 't_intersection.xosc' was not found beside the study" in lost

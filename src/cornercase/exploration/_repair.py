@@ -32,6 +32,7 @@ from cornercase.study import ScenarioRecord, StudyFile, verify
 from cornercase.study._import_recordings import IMPORTED_SIMULATOR
 from cornercase.study._recovery.file_lock import DamagedFileLock
 from cornercase.study._recovery.rebuild import RecoveredStudy, rebuild_study
+from cornercase.study._scenario_file import find_explored_scenario
 
 _DAMAGED_SUFFIX: Final = ".damaged"
 # Memory needed, relative to the size of the file: all rows, and those of one table a second time.
@@ -144,6 +145,7 @@ def repair(
             remains = rebuild_study(file, temporary)
             lost = list(remains.lost)
             held.lock()
+            lost += _restore_digests(file, temporary, scenario)
             if remains.to_rerun or not remains.is_count_known:
                 _require_repeatable_search(file, remains)
                 _rerun_lost_scenarios(file, temporary, remains, scenario, simulator, drivers or {}, workers)
@@ -266,6 +268,31 @@ def _describe_changed_tables(repaired_file: Path, recovered: RecoveredStudy) -> 
         if name not in skipped and totals.get(name, (0, 0)) != total
     ]
     return [f"its table {name} is not what it was" for name in sorted(different)]
+
+
+def _restore_digests(file: Path, repaired_file: Path, scenario: Path | str | ScenarioFile | None) -> list[str]:
+    """Compute lost digests again; return in words the collisions whose fault was decided without their road."""
+    with StudyFile.open(repaired_file, readonly=False) as opened:
+        ego, road_source, problem = opened.meta.ego, None, ""
+        collided = [
+            str(row.id)
+            for row in opened.writer.rows_without_digest()
+            if any(ego in collision.entities for collision in opened.recording(row.id).collisions)
+        ]
+        if collided and opened.meta.suite:
+            problem = "a repair does not look for the files of a suite; run `test` again, with another file name"
+        elif collided:
+            try:
+                road_source = find_explored_scenario(opened, scenario, search_stored_path=True)
+            except InputError as error:
+                if scenario is not None:
+                    raise
+                problem = str(error).removeprefix(f"{opened.path}: ").replace(str(opened.path), str(file)).rstrip(".")
+        opened.writer.save_missing_digests(road_source)
+    if not problem:
+        return []
+    scenarios = f"scenario{'s' if len(collided) > 1 else ''} {', '.join(collided)}"
+    return [f"who is at fault in {scenarios}, as far as the road says so, since {problem}"]
 
 
 def _rerun_lost_scenarios(

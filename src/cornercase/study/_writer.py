@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from sqlite3 import Connection
 from typing import TYPE_CHECKING, Any, Final
@@ -17,6 +18,7 @@ from cornercase.drivers.references.r157._preventability import ReferenceOutcome
 from cornercase.metrics._measure import MetricResult
 from cornercase.recordings import Recording
 from cornercase.scenario import Value
+from cornercase.scenario._file import ScenarioFile
 from cornercase.study._analysis_arrays import write_arrays
 from cornercase.study._checksums import delete_rows, insert_rows
 from cornercase.study._codec import pack_arrays, pack_recording
@@ -181,17 +183,26 @@ class StudyWriter:
             plain_courses = {name: result[0] for name, result in courses.items()}
             self._save_digest(connection, scenario, recording, plain_courses)
 
-    def save_missing_digests(self) -> None:
-        """Compute missing digests (summaries of recordings) again from recordings and courses, and store them.
+    def rows_without_digest(self) -> list[ScenarioRecord]:
+        """Return the finished scenarios whose digest (summary of the recording) is missing in a damaged study."""
+        stored = {scenario for (scenario,) in self._database.query("SELECT scenario FROM digests")}
+        return [row for row in self._study.finished_rows() if row.id not in stored]
 
-        This is part of the repair of a damaged study.
+    def save_missing_digests(self, scenario: ScenarioFile | None) -> None:
+        """Compute missing digests again from recordings and courses, and store them.
+
+        This is part of the repair of a damaged study. The roads of `scenario`, which recordings do not contain, help to
+        decide who is at fault in collisions.
         """
         with self._database.transaction() as connection:
-            stored = {scenario for (scenario,) in self._database.query("SELECT scenario FROM digests")}
-            for row in self._study.finished_rows():
-                if row.id not in stored:
-                    courses = {name: self._study.course(row.id, name) for name in self._study.meta.metrics}
-                    self._save_digest(connection, row.id, self._study.recording(row.id), courses)
+            for row in self.rows_without_digest():
+                recording = self._study.recording(row.id)
+                if scenario is not None:
+                    # A simulator may have run a file whose road cornercase does not find.
+                    with suppress(InputError):
+                        recording = replace(recording, road_file=scenario.road_path_for(row.values))
+                courses = {name: self._study.course(row.id, name) for name in self._study.meta.metrics}
+                self._save_digest(connection, row.id, recording, courses)
 
     def _save_digest(
         self,

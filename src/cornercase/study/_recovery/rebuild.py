@@ -19,7 +19,6 @@ from cornercase.study._database import create_tables
 from cornercase.study._meta import StudyMeta
 from cornercase.study._recovery.recover_rows import RowsByKey, iter_intact_tables, recover_rows
 from cornercase.study._schema import TABLES
-from cornercase.study._study_file import StudyFile
 
 # Tables that `analyze` writes; all are kept or none, as they belong together.
 _ANALYSIS_TABLES = ("outcomes", "analyses", "arrays")
@@ -47,9 +46,9 @@ class RecoveredStudy:
 def rebuild_study(damaged: Path, output: Path) -> RecoveredStudy:
     """Create a study at `output` from the intact rows of the study at `damaged`; the damaged file stays as it is.
 
-    Scenarios that have to be run again are pending (not run yet) in the new study; those whose row is lost are not in
-    the new study. Raises `InputError` if the description of the damaged study is lost, or if the damaged file has
-    several hard links.
+    Scenarios that have to be run again are pending (not run yet) in the new study; those whose row is lost, and lost
+    digests, are not in the new study. Raises `InputError` if the description of the damaged study is lost, or if the
+    damaged file has several hard links.
     """
     require_single_hard_link(damaged)
     rows = recover_rows(damaged)
@@ -91,9 +90,6 @@ def rebuild_study(damaged: Path, output: Path) -> RecoveredStudy:
             if name != "tallies" and (TABLES[name].is_required or _has_optional_table(meta, name)):
                 insert_rows(connection, name, rows[name].values(), replace=False)
         connection.commit()
-    if len(rows["digests"]) < sum(row[4] == "done" for row in rows["scenarios"].values()):
-        with StudyFile.open(output, readonly=False) as study:
-            study.writer.save_missing_digests()
     return RecoveredStudy(meta, rounds, to_rerun, tuple(lost), tallies, "scenarios" in tallies)
 
 
