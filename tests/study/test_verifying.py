@@ -10,6 +10,9 @@ import pytest
 
 from cornercase import SimulationError
 from cornercase.study import StudyFile
+from cornercase.study._checksums import insert_rows
+from cornercase.study._codec import pack_arrays
+from cornercase.study._recovery.rebuild import rebuild_study
 from helpers.command_line import cornercase
 from helpers.synthetic_study import SPACE, about
 
@@ -71,6 +74,20 @@ def test_a_database_of_another_program_is_bad_input(tmp_path):
     result = cornercase("verify", tmp_path / "a.db", "--repair")
     assert result.returncode == 2
     assert "is not a cornercase study" in result.stderr
+
+
+def test_results_of_scenarios_that_are_not_there_are_damage_that_a_repair_removes(path):
+    with closing(sqlite3.connect(path)) as connection, connection:
+        insert_rows(connection, "notes", [(999, "of nobody")])
+        insert_rows(connection, "courses", [(999, "distance", 1.0, pack_arrays({"course": np.ones(3)}))])
+    result = cornercase("verify", path)
+    assert result.returncode == 1
+    for table in ("notes", "courses"):
+        assert f"its table {table} has rows that belong to no row of its table scenarios: 1" in result.stdout
+    with StudyFile.open(path) as study:
+        recovered = rebuild_study(path, path.with_name("rebuilt.db"))
+        assert [*recovered.rounds] == [row.id for row in study.rows()]
+    assert cornercase("verify", path.with_name("rebuilt.db")).returncode == 0
 
 
 def test_a_study_whose_head_is_zeroed_is_a_damaged_one(path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import closing, suppress
 from dataclasses import dataclass
@@ -141,6 +142,18 @@ def _iter_problems(path: Path) -> Iterator[str]:
     except InputError as error:
         _raise_if_unreachable(path, error.__cause__)
         yield str(error).removeprefix(f"{path}: ")
+    yield from _iter_broken_references(path)
+
+
+def _iter_broken_references(path: Path) -> Iterator[str]:
+    try:
+        with closing(open_connection(path)) as connection:
+            broken = [(table, parent) for table, _, parent, _ in connection.execute("PRAGMA foreign_key_check")]
+    except sqlite3.Error as error:
+        yield _describe_error(path, error)
+        return
+    for (table, parent), count in Counter(broken).items():
+        yield f"its table {table} has rows that belong to no row of its table {parent}: {count}"
 
 
 def _iter_file_problems(path: Path) -> Iterator[str]:

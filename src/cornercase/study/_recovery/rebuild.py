@@ -76,6 +76,8 @@ def rebuild_study(damaged: Path, output: Path) -> RecoveredStudy:
     elif missing := tallies["notes"][0] - len(rows["notes"]):
         lost.append(f"{missing} notes on scenarios")
     rounds = _recover_rounds(rows, tallies)
+    for name in (*_SCENARIO_TABLES, "notes", "outcomes"):
+        rows[name] = {key: values for key, values in rows[name].items() if values[0] in rounds}
     to_rerun = _reset_incomplete_scenarios(rows, meta, rounds)
     with closing(sqlite3.connect(output)) as connection:
         create_tables(
@@ -128,8 +130,10 @@ def _compute_checksum_totals(table: str, rows: RowsByKey) -> tuple[int, int]:
 def _recover_rounds(rows_by_table: dict[str, RowsByKey], checksum_totals: dict[str, tuple[int, int]]) -> dict[int, int]:
     """Return the round of each scenario by id, also for scenarios whose row is lost: these have the round 0."""
     rounds = {int(row[0]): int(row[1]) for row in rows_by_table["scenarios"].values()}
-    last = checksum_totals["scenarios"][0] if "scenarios" in checksum_totals else 0
-    last = max([last, *rounds, *(int(row[0]) for name in _SCENARIO_TABLES for row in rows_by_table[name].values())])
+    if "scenarios" in checksum_totals:
+        last = max([checksum_totals["scenarios"][0], *rounds])
+    else:
+        last = max([0, *rounds, *(int(row[0]) for name in _SCENARIO_TABLES for row in rows_by_table[name].values())])
     return {number: rounds.get(number, 0) for number in range(1, last + 1)}
 
 
