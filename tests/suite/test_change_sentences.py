@@ -132,6 +132,19 @@ def test_scenarios_without_a_partner_are_counted_with_why_and_what_follows(tmp_p
     assert list(describe_unpaired_scenarios(compared(old, old))) == []
 
 
+def test_tests_of_scenarios_without_a_partner_are_not_hidden(tmp_path):
+    others = Sobol().start(SPACE, 2).ask(40)
+    old = written(tmp_path / "old.db", GAPS)
+    new = written(tmp_path / "new.db", 1.5 + 3.0 * others[:, 0], hits=range(20), points=others, seed=2)
+    found = compared(old, new)
+    assert any(test.differ is None and test.corrected <= 0.05 for test in found.tests)
+    (fisher,) = [line for line in describe_changes(found) if line.startswith("Fisher") and "collide" in line]
+    assert "as many collide in both samples (" in fisher
+    assert "scenarios that fill the space)" in fisher
+    text = "\n".join(describe_unpaired_scenarios(found))
+    assert "What follows: what changed in them is not known, and in the verdict only tests of samples" in text
+
+
 @pytest.fixture(scope="module")
 def searched(tmp_path_factory, x_intersection):
     """Two versions of the X-intersection by one search with the same seed; the old one has kinds."""

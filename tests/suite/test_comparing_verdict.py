@@ -18,6 +18,7 @@ from cornercase import InputError, SimulationError
 from cornercase.cli import app
 from cornercase.cli.errors import run_command
 from cornercase.drivers import NORMAL, BehaviourDriver
+from cornercase.drivers.references.r157._preventability import ReferenceOutcome
 from cornercase.metrics import METRICS
 from cornercase.optimizers import Sobol
 from cornercase.recordings import Collision, Recording
@@ -219,6 +220,22 @@ def test_a_requirement_that_turns_within_the_tolerance_does_not_count(tmp_path):
     wide = compared(old, new, tolerances={"distance": 3.0})
     assert [(one.kind, one.about) for one in wide.worse] == [("collision", ""), ("requirement", "no collision")]
     assert wide.within_tolerance[0].ids == ((5, 5), (10, 10), (13, 13))
+
+
+def test_a_requirement_on_reference_drivers_alone_has_no_tolerance(tmp_path):
+    text = "not(reference:cc-human)"
+
+    def study(name, collides):
+        meta = about(SPACE, "distance", critical=1.0, simulator="builtin", requirements=(text,))
+        with StudyFile.create(tmp_path / name, meta) as made:
+            (row,) = made.writer.add_pending(1, POINTS[:1], SPACE.values(POINTS[:1]))
+            course = {"distance": (np.full(3, 30.0), 30.0)}
+            references = {"cc-human": ReferenceOutcome(collides)}
+            made.writer.record_result(row.id, recording(30.0), course, references=references)
+        return tmp_path / name
+
+    found = compared(study("old.db", False), study("new.db", True))
+    assert [(one.kind, one.about, one.ids) for one in found.worse] == [("requirement", text, ((1, 1),))]
 
 
 def test_a_place_that_is_missed_by_less_than_the_tolerance_is_the_same(tmp_path):

@@ -142,7 +142,7 @@ def _describe_tests(comparison: Comparison) -> Iterator[str]:
         if test.differ is None:
             yield (
                 f"Fisher's exact test, whether {_describe_null_hypothesis(test)} in both samples ({test.old} and"
-                f" {test.new} scenarios without partners): {p}; {claim}."
+                f" {test.new} scenarios that fill the space): {p}; {claim}."
             )
             continue
         came = round((test.differ + test.shift * test.old) / 2.0)
@@ -235,7 +235,12 @@ def describe_unpaired_scenarios(comparison: Comparison) -> Iterator[str]:
         yield "Why: the studies were explored with other searches or seeds, which choose other scenarios"
     else:
         yield "Why: one study ran scenarios that the other did not"
-    yield "What follows: what changed in them is not known, and no number of the verdict is of them"
+    counted = (
+        "in the verdict only tests of samples without pairs count them"
+        if any(test.differ is None for test in comparison.tests)
+        else "no number of the verdict is of them"
+    )
+    yield f"What follows: what changed in them is not known, and {counted}"
     if comparison.unpaired[0].chosen_by_scores:
         old, new = map(quote_name, comparison.names)
         yield (

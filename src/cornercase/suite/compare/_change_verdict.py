@@ -115,8 +115,9 @@ def _iter_pair_changes(
         is_failed = [verdict.state == "failed" for verdict in (old, new)]
         if is_failed[0] != is_failed[1]:
             margins = pair.margins.get(old.requirement)
-            tolerance = _margin_tolerance(old.requirement, tolerances)
-            counts = margins is None or (otherwise and _exceeds_tolerance(*margins, tolerance))
+            counts = margins is None or (
+                otherwise and _exceeds_tolerance(*margins, _margin_tolerance(old.requirement, tolerances))
+            )
             yield PairChange("requirement", old.requirement, "worse" if is_failed[1] else "better", pair.ids, counts)
     if pair.is_critical is not None and pair.is_critical[0] != pair.is_critical[1]:
         # If several metrics define criticality, one that changed is enough.
