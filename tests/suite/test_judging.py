@@ -87,6 +87,11 @@ def test_no_collision_is_passed_where_nobody_is_touched_and_open_where_nobody_wa
     assert judged("no collision", absent).state == "passed"
 
 
+def test_nobody_to_judge_against_is_refused():
+    with pytest.raises(InputError, match="`other`: is empty; name at least one entity"):
+        judge(Requirement.parse("no collision"), met(along(DRIVES), FAR), "Ego", ())
+
+
 @pytest.mark.parametrize(
     ("requirement", "state", "time", "value"),
     [

@@ -29,11 +29,12 @@ def test_no_verdicts_of_another_run_are_left_where_nothing_can_be_run(reduced, t
 
 @pytest.mark.parametrize("option", ["junit", "summary"])
 def test_nothing_else_is_written_over(option, reduced, tmp_path):
-    for name in ("mine.py", "README.md", "later.db"):
-        (tmp_path / name).write_text("# Kept\n")
+    junit = "<?xml version='1.0' encoding='utf-8'?>\n<testsuites name=\"unit tests\"/>\n"
+    for name, text in (("mine.py", "# Kept\n"), ("README.md", "### My notes\n"), ("ci.xml", junit), ("later.db", "?")):
+        (tmp_path / name).write_text(text)
         with pytest.raises(cc.InputError, match="exists and is not from an earlier run"):
             cc.run_suite(reduced, tmp_path / "run.db", **{option: tmp_path / name})
-        assert (tmp_path / name).read_text() == "# Kept\n"
+        assert (tmp_path / name).read_text() == text
     # GitHub makes an empty one.
     (tmp_path / "own").write_text("")
     for _ in range(2):

@@ -22,13 +22,16 @@ import cornercase as cc
 from conftest import at_night, moving, private, same_recording, scenario_file, speed_action, teleport
 from cornercase.cli import app
 from cornercase.exploration import examples_folder
+from cornercase.scenario import ParameterSpace
 from cornercase.study import StudyFile
 from cornercase.suite import RecordingDifference, ScenarioResult, SuiteResult, Verdict
+from cornercase.suite._baseline import find_changed_driver
 from cornercase.suite._judge import judge_study
 from cornercase.suite._junit import write_junit
 from cornercase.suite._markdown import write_markdown_summary
 from cornercase.suite._recording_difference import compare_recording_pair
 from helpers.command_line import cornercase
+from helpers.synthetic_study import about as described
 from helpers.two_cars import met
 
 SCHEMA = etree.XMLSchema(etree.parse(str(Path(__file__).parents[1] / "data" / "junit.xsd")))
@@ -240,6 +243,26 @@ def test_a_run_is_compared_with_an_earlier_run(explored, ran, tmp_path):
     assert not any(one.same for one in differences(result))
 
 
+@pytest.mark.parametrize(
+    ("before", "now", "differ"),
+    [
+        ({"driver": "my_drv:A", "sha256": "0" * 64}, {"driver": "my_drv:B", "sha256": "0" * 64}, True),
+        ({"driver": "my_drv:A", "options": {"gain": 1}}, {"driver": "my_drv:A", "options": {"gain": 2}}, False),
+        ({"driver": "my_drv:A", "options": {"gain": 1}}, "my_drv:A:gain=2", False),
+        ("exec:./planner-1", "exec:./planner-2", False),
+        ("normal", "cautious", True),
+    ],
+)
+def test_two_classes_of_one_module_are_different_drivers(before, now, differ, tmp_path):
+    space = ParameterSpace.from_ranges(["a=0:1"])
+    metas = [described(space, "distance", settings={"drivers": {"Ego": driver}}) for driver in (before, now)]
+    paths = [tmp_path / "before.db", tmp_path / "now.db"]
+    for path, meta in zip(paths, metas, strict=True):
+        StudyFile.create(path, meta).close()
+    with StudyFile.open(paths[1]) as study:
+        assert (find_changed_driver(paths[0], study) is not None) == differ
+
+
 def test_a_folder_of_files_is_run_with_what_differs_as_parameters(reduced, ran, tmp_path):
     (reduced / "manifest.json").unlink()
     with pytest.raises(cc.InputError, match="does not say which entity this is; name an entity"):
@@ -260,6 +283,17 @@ def test_a_folder_of_files_is_run_with_what_differs_as_parameters(reduced, ran, 
         ({"file": "fast.xosc"}, "failed"),
         ({"file": "slow.xosc"}, "passed"),
     ]
+
+
+def test_without_a_manifest_too_what_has_run_is_judged_anew(tmp_path):
+    folder, path = tmp_path / "files", tmp_path / "run.db"
+    folder.mkdir()
+    scenario_file(folder, init=moving(speed="5") + moving(s="90", speed="0", entity="Van"), entities=two("Van"))
+    about: dict[str, Any] = {"ego": "Ego", "other": "Van", "duration": 2.0}
+    cc.run_suite(folder, path, require=["ttc > 0.1"], **about)
+    result = cc.run_suite(folder, path, require=["no collision", "clearance > 1"], **about)
+    assert [[one.state for one in scenario.verdicts] for scenario in result.scenarios] == [["passed", "passed"]]
+    assert result.n_ran_before == 1
 
 
 def two(name):
@@ -332,7 +366,7 @@ def test_the_summary_is_one_table_whatever_names_there_are(tmp_path):
         for k, (state, kind) in enumerate(states, start=1)
     )  # fmt: skip
     write_markdown_summary(
-        SuiteResult(tmp_path / "run.db", tmp_path, "builtin", (), results, tmp_path / "old.db"), tmp_path / "s.md"
+        SuiteResult(tmp_path / "run.db", tmp_path, "builtin", (), results, tmp_path / "old|1.db"), tmp_path / "s.md"
     )
     tokens = MarkdownIt().enable("table").parse((tmp_path / "s.md").read_text("utf-8"))
     assert [one.type for one in tokens].count("table_open") == 1
@@ -341,7 +375,7 @@ def test_the_summary_is_one_table_whatever_names_there_are(tmp_path):
     read = ["".join(child.content for child in one.children or ()) for one in texts]
     plain = " ".join(signs.replace("\x1b", "\\x1b").split())
     assert read[0] == "1 failed, 1 not run of 2 scenarios"
-    assert read[1:6] == ["scenario", "kind", "verdict", "why", "against old.db"]
+    assert read[1:6] == ["scenario", "kind", "verdict", "why", "against old|1.db"]
     assert read[6:11] == [f"1{plain}.xosc", plain, "failed", plain, "the same"]
     assert read[11:16] == [
         f"2{plain}.xosc",

@@ -110,7 +110,8 @@ class Suite:
         """Run the scenarios, judge the runs by requirements, and compare the recordings with earlier recordings.
 
         Each run is stored as soon as it has ended. The same call again continues after an interruption. A call with
-        other requirements judges the stored runs and runs nothing again.
+        other requirements judges the stored runs and runs nothing again, unless these name a metric of the ego alone
+        that was not measured.
 
         Parameters
         ----------

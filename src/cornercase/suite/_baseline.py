@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from cornercase._common.errors import InputError
+from cornercase.drivers import DRIVERS
 from cornercase.drivers._serialization import format_driver
 from cornercase.study import ScenarioRecord, StudyFile
 from cornercase.study._damage import reraise_read_errors
@@ -74,8 +75,14 @@ def find_changed_driver(baseline: Path, study: StudyFile) -> tuple[str, str] | N
     if None in drivers:
         return None
     before, now = (format_driver(driver) if driver else "its storyboard" for driver in drivers)
-    names = [re.split("[:,]", text)[0] for text in (before, now)]
-    return (before, now) if names[0] != names[1] else None
+    return (before, now) if _driver_name(before) != _driver_name(now) else None
+
+
+def _driver_name(text: str) -> str:
+    """Return the name of a formatted driver without options: a preset, a kind such as ``fmu``, or ``module:Class``."""
+    name, *rest = re.split("[:,]", text, maxsplit=2)
+    is_class = name not in DRIVERS and text.startswith(f"{name}:") and "=" not in rest[0]
+    return f"{name}:{rest[0]}" if is_class else name
 
 
 def _check_baseline_readable(suite: SuiteContents, study: StudyFile) -> None:

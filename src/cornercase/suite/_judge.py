@@ -7,7 +7,7 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import Final
 
-from cornercase._common.errors import PluginError
+from cornercase._common.errors import InputError, PluginError
 from cornercase._common.text.sanitize import quote_name
 from cornercase._common.typing import FloatArray
 from cornercase.drivers.references.r157._preventability import ReferenceOutcome
@@ -65,7 +65,7 @@ def judge(
     ------
     InputError
         The recording has no entity with the name `ego`. Or the requirement depends on other entities, and the recording
-        has none of those in `other`.
+        has none of those in `other`. Or `other` is empty.
 
     Examples
     --------
@@ -82,6 +82,8 @@ def judge(
     >>> judge(Requirement.parse("reach 2,0,0.5 within 1"), recording, "Ego", "Other").reason
     'Ego reaches (2, 0) at 0.2 s'
     """
+    if not other:
+        raise InputError("`other`: is empty; name at least one entity.")
     return _judge(requirement, recording, ego, other, courses, references)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -16,8 +17,11 @@ from cornercase.suite._verdict import Verdict
 if TYPE_CHECKING:
     from cornercase.suite._suite_result import ScenarioResult, SuiteResult
 
-JUNIT_START: Final = b"<?xml version='1.0' encoding='utf-8'?>\n<testsuites "
-"""First bytes of each JUnit file."""
+_ROOT_NAME: Final = "cornercase"
+JUNIT_START: Final = re.compile(
+    rb"<\?xml version='1\.0' encoding='utf-8'\?>\n<testsuites [^<>]*name=\"%b\"" % _ROOT_NAME.encode()
+)
+"""Begin of each JUnit file, up to the name of its root."""
 
 
 def write_junit(result: SuiteResult, path: Path) -> None:
@@ -29,7 +33,7 @@ def write_junit(result: SuiteResult, path: Path) -> None:
     """
     path_ = result.suite.resolve()
     name = _to_xml_characters(path_.parent.name if path_.is_file() else path_.name) or "suite"
-    document = JUnitXml("cornercase")
+    document = JUnitXml(_ROOT_NAME)
     for scenario in result.scenarios:
         document.add_testsuite(_build_test_suite(scenario, name, result))
     document.update_statistics()

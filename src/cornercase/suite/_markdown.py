@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 # Characters with a meaning in Markdown.
 _MARKDOWN_SPECIAL: Final = re.compile(r"([\\`*_\[\]<>|#~&$!@])")
 
-HEADING_START: Final = b"### "
-"""First bytes of each Markdown file."""
+SUMMARY_START: Final = re.compile(rb"### (\d+ (passed|failed|inconclusive|not run)(, )?)+ of \d+ scenarios?\r?\n")
+"""Begin of each Markdown file: the heading with the summary of the verdicts."""
 
 
 def write_markdown_summary(result: SuiteResult, path: Path) -> None:
@@ -36,9 +36,9 @@ def write_markdown_summary(result: SuiteResult, path: Path) -> None:
     ]
     used = [k for k in range(len(head)) if any(row[k] for row in rows)]
     lines = [
-        f"{HEADING_START.decode()}{_escape_markdown(result.summary)}",
+        f"### {_escape_markdown(result.summary)}",
         "",
-        _format_row([head[k] for k in used]),
+        _format_row([_escape_markdown(head[k]) for k in used]),
         _format_row(["---"] * len(used)),
         *(_format_row([_escape_markdown(row[k]) for k in used]) for row in rows),
         "",

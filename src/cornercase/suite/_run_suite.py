@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -37,7 +38,7 @@ from cornercase.suite._baseline import compare_with_baseline, find_baseline_stud
 from cornercase.suite._driver_values import assign_driver_values
 from cornercase.suite._judge import judge_scenario
 from cornercase.suite._junit import JUNIT_START, write_junit
-from cornercase.suite._markdown import HEADING_START, write_markdown_summary
+from cornercase.suite._markdown import SUMMARY_START, write_markdown_summary
 from cornercase.suite._mutation_analysis import analyze_suite_mutants, draw_mutants, require_builtin_simulator
 from cornercase.suite._read_suite import read_suite
 from cornercase.suite._requirement import Requirement
@@ -48,6 +49,8 @@ from cornercase.suite._suite_result import ScenarioResult, SuiteResult
 from cornercase.suite._verdict import Verdict, worst_state
 
 _RAN_REQUIREMENT: Final = "runs"
+# Bytes of an earlier output that show who wrote it.
+_MAX_START_BYTES: Final = 500
 
 
 class SuiteKeywords(RunKeywords, total=False):
@@ -87,7 +90,8 @@ def run_suite(
     """Run the scenarios of a suite again, judge them, and compare them with the earlier recordings.
 
     Each scenario is stored as soon as it has ended. The same call again resumes an interrupted run. The same call with
-    other requirements judges the stored recordings.
+    other requirements judges the stored recordings, unless these name a metric of the ego alone that the run did not
+    measure.
 
     Parameters
     ----------
@@ -186,7 +190,7 @@ def run_suite(
                 item: stack.enter_context(_create_reference_simulator(start, settings, entities[0], item))
                 for item in reference_names
             }
-            metrics = _choose_metrics(contents, given["metrics"] or (), parsed)
+            metrics = _choose_metrics(contents, given["metrics"] or _read_metrics(path, contents), parsed)
             meta = _build_meta(contents, entities, metrics, parsed, str(name), started.settings, path)
             driver_in_file = find_driver_in_files(
                 started, (item.scenario for item in contents.runnable_scenarios), meta.ego
@@ -226,8 +230,8 @@ def _prepare_outputs(
 ) -> list[tuple[Callable[[SuiteResult, Path], None], Path]]:
     """Return writer and path of the JUnit and Markdown files, if requested; files of an earlier run are removed."""
     targets: list[tuple[Callable[[SuiteResult, Path], None], Path]] = []
-    outputs = (("junit", junit, write_junit, JUNIT_START), ("summary", summary, write_markdown_summary, HEADING_START))
-    for name, target, write, first_bytes in outputs:
+    outputs = (("junit", junit, write_junit, JUNIT_START), ("summary", summary, write_markdown_summary, SUMMARY_START))
+    for name, target, write, start in outputs:
         if target is None:
             continue
         file = path_argument(name, target)
@@ -236,7 +240,7 @@ def _prepare_outputs(
         # Check before hours of simulations.
         check_writable_file(name, file)
         check_output_is_not_study(file, study, name)
-        _require_own_output(name, file, first_bytes)
+        _require_own_output(name, file, start)
         if any(file.resolve() == other.resolve() for _, other in targets):
             raise InputError(f"`{name}` {file}: is the JUnit file too; choose another name.")
         targets.append((write, file))
@@ -246,12 +250,12 @@ def _prepare_outputs(
     return targets
 
 
-def _require_own_output(name: str, path: Path, first_bytes: bytes) -> None:
+def _require_own_output(name: str, path: Path, start: re.Pattern[bytes]) -> None:
     """Raise `InputError` if a file exists that no earlier run wrote, so that no other content is overwritten."""
     if path.exists():
         with path.open("rb") as file:
-            content = file.read(len(first_bytes))
-        if content and content != first_bytes:
+            content = file.read(_MAX_START_BYTES)
+        if content and not start.match(content):
             raise InputError(
                 f"`{name}` {path}: exists and is not from an earlier run; choose another name, or remove the file."
             )
@@ -334,6 +338,17 @@ def _describe_no_match(suite: SuiteContents, requirement: Requirement) -> str:
     if not kinds:
         return f"{suite.path} does not name the clusters of its scenarios"
     return f"no scenario of {suite.path} belongs to such a cluster; the clusters are {'; '.join(kinds)}"
+
+
+def _read_metrics(path: Path, suite: SuiteContents) -> tuple[str, ...]:
+    """Return the metrics of a study with an earlier run of the suite; empty without one, or if it cannot be used."""
+    if not path.is_file():
+        return ()
+    with suppress(InputError), StudyFile.open(path, readonly=True) as study:
+        is_known = all(name.partition(":")[0] in METRICS for name in study.meta.metrics)
+        if is_known and study.meta.suite == suite.content_hash and any(row.state != "pending" for row in study.rows()):
+            return study.meta.metrics
+    return ()
 
 
 def _choose_metrics(
