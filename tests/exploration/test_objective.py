@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 
 import numpy as np
 import pytest
@@ -61,6 +62,7 @@ def test_lower_is_always_more_critical():
     [
         ({"tcc": 1.0}, False, "did you mean 'ttc'"),
         ({"ttc": -1.0}, False, "above 0"),
+        ({"drac": math.inf}, False, "drac=inf: give a finite number above 0\\.$"),
         ({"ttc": 1.0}, True, "leave `weights` out"),
     ],
 )

@@ -13,17 +13,20 @@ import zipfile
 import zlib
 from collections.abc import Iterator
 from contextlib import closing, suppress
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from cornercase import InputError, SimulationError
 from cornercase._common.text.sanitize import remove_folders
+from cornercase.scenario import ParameterSpace
 from cornercase.study import StudyFile
 from cornercase.study._scenario_file import find_explored_scenario
 from cornercase.study._stored_paths import format_stored_path, resolve_stored_path
 from helpers.checksums import changed
 from helpers.command_line import SPACE, X, cornercase
+from helpers.synthetic_study import about
 
 MEASURED = ("--ego", "Ego", "--other", "Pedestrian", "--metric", "wttc")
 SEARCH = (*MEASURED, "--optimizer", "sobol", "--budget", "12", "--duration", "6", "--time-step", "0.2")
@@ -290,6 +293,16 @@ def test_42_s6_a_study_with_an_absolute_path_goes_on(apart, tmp_path):
     search = ("explore", file, "--space", file.with_name(SPACE.name), *SEARCH, "--budget", "14", "-o", apart)
     done = cornercase(*search)
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.usefixtures("no_cache")
+def test_of_a_suite_no_path_is_named_that_was_not_looked_at(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    space = ParameterSpace.from_ranges(["a=0:1"])
+    meta = replace(about(space, "distance", suite="0", files=("a.xosc",)), scenario="../set/a.xosc")
+    with StudyFile.create(tmp_path / "run.db", meta) as study, pytest.raises(InputError) as error:
+        find_explored_scenario(study, search_stored_path=True)
+    assert "or at" not in str(error.value)
 
 
 def found_path(study: StudyFile) -> Path:

@@ -316,9 +316,17 @@ class TooShort(Gap):
         return super().course(recording, ego, other)[1:]
 
 
+class BeyondItsBound(Gap):
+    bound = 0.0
+
+    def score(self, course):
+        return float(np.nanmin(course)) - 50.0
+
+
 @pytest.mark.parametrize(
     ("metric", "name"),
     [
+        (BeyondItsBound(), "scores within its cap and bound"),
         (WrongWay(), "is not more critical far away than near"),
         (AlongX(), "is the same elsewhere on the map"),
         (TooShort(), "has a value or NaN at each instant"),

@@ -49,8 +49,9 @@ class Objective:
                 raise InputError(f"`weights` {name}: is not one of the metrics; {suggest_name(name, names)}")
             if not 0.0 < weight < np.inf:
                 is_low = metrics[names.index(name)].lower_is_critical
-                hint = "" if is_low else f"; a high {name} counts as critical without a minus"
-                raise InputError(f"`weights` {name}={weight:g}: give a number above 0{hint}.")
+                hint = "" if is_low or weight > 0.0 else f"; a high {name} counts as critical without a minus"
+                number = "finite number" if weight == np.inf else "number"
+                raise InputError(f"`weights` {name}={weight:g}: give a {number} above 0{hint}.")
         self._score_factors = self._make_score_factors()
         self.criterion: Criterion | None = None
         if threshold is not None and not pareto:

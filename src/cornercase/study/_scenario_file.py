@@ -55,7 +55,7 @@ def find_explored_scenario(
         return explored
     changed += others
     if not changed:
-        at = f", or at {meta.scenario}" if search_stored_path and "/" in meta.scenario else ""
+        at = f", or at {meta.scenario}" if stored is not None and "/" in meta.scenario else ""
         raise InputError(
             f"{study.path}: the scenario file '{meta.file_name}' was not found beside the study, in the current"
             " folder, up to"

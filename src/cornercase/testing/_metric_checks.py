@@ -105,6 +105,9 @@ def _check_metric_scores(metric: Metric, recordings: Any) -> None:
         assert np.isfinite(score), f"A score is {score}."
         is_within = score <= metric.cap if metric.lower_is_critical else score >= metric.cap
         assert is_within, f"A score of {score:g} is less critical than the cap of {metric.cap:g}."
+        if metric.bound is not None:
+            is_within = score >= metric.bound if metric.lower_is_critical else score <= metric.bound
+            assert is_within, f"A score of {score:g} is more critical than the bound of {metric.bound:g}."
 
 
 def _check_recording_unchanged(metric: Metric, recordings: Any) -> None:
