@@ -12,7 +12,7 @@ from cornercase.drivers._base import DrivenPath
 from cornercase.drivers._path_tracking import PosesOnPath, locate_on_path
 
 DURATION: Final = 4.0
-"""Time in s that a lane change takes."""
+"""Time in s that a lane change takes at 5 m/s or more."""
 # m/s; below this speed a change takes longer, in proportion, so that the vehicle does not slide sideways.
 _FULL_SPEED: Final = 5.0
 # m; a vehicle that lags behind the profile has arrived when it is this near to it.
@@ -24,8 +24,8 @@ class LaneChange:
     """Change of a vehicle to another lane: `path` is the path along the new lane.
 
     The vehicle starts `start_offset` m to the left of this path. The planned offset from the path shrinks to 0 as a
-    quintic polynomial of time, with lateral speed and acceleration 0 at both ends. `progress` is the elapsed share of
-    the change, from 0 to 1. `distance` is the approximate position of the vehicle along the path in m.
+    quintic polynomial of `progress`, with lateral speed and acceleration 0 at both ends. `progress` is the elapsed share
+    of the change, from 0 to 1; below 5 m/s it grows more slowly. `distance` is the approximate position of the vehicle along the path in m.
 
     Source of the polynomial: M. Werling et al., "Optimal trajectory generation for dynamic street scenarios in a Frenét
     frame", ICRA 2010.

@@ -128,12 +128,14 @@ class CriticalSetEstimates:
         Fraction of the critical part of the space that no scenario in the study has found.
     p_overlooked_region : float
         Probability that some critical region of at least the size `region_fraction` contains no scenario that was run.
+        Before a critical scenario was run, this is `unexplored_fraction`.
     unexplored_fraction : float
         Fraction of the points of the space around which a region of size `region_fraction` contains no scenario.
     region_fraction : float
         Size of a region, as a fraction of the space.
     max_fraction_in_empty_region : float
-        Largest fraction of the critical part of the space that a region without scenarios could hold.
+        Fraction of the critical part of the space that a ball without scenarios may hold, in addition to
+        `missed_fraction`. For 95 % of random centres, the largest such ball is smaller.
     interval_unavailable : str or None
         Why `critical_fraction` has no interval; None if there is an interval.
     missed_interval_unavailable : str or None
@@ -142,7 +144,8 @@ class CriticalSetEstimates:
         Whether several classifiers together (a committee) made the predictions, instead of a Gaussian process of the
         scores.
     is_exhausted : bool
-        Whether all scenarios of a finite space were run, so that the fractions are exact.
+        Whether all scenarios of a space of at most 16,384 scenarios were run and none failed, so that the fractions are
+        exact.
 
     Examples
     --------

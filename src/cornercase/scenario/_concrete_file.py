@@ -81,7 +81,7 @@ def build_concrete_file(
         for element in root.iterfind("Entities/ScenarioObject"):
             if element.get("name") == name:
                 _set_driver_property(element, driver, target)
-        _remove_initial_controllers(root, name)
+        _remove_initial_controllers(scenario, root, name, values)
     buffer = io.BytesIO()
     profiles = ((file, file.name, "Profiles") for file in scenario.profiles_files)
     companions = (*_relocate_road_file(scenario, root, values), *_relocate_catalogs(scenario, root, values), *profiles)
@@ -176,10 +176,15 @@ def _set_driver_property(scenario_object: etree._Element, driver: str, target: P
     _set_attribute(item, "value", driver, target)
 
 
-def _remove_initial_controllers(root: etree._Element, entity: str) -> None:
-    """Remove the actions in ``Init`` that set a controller of an entity: they would replace the entity's new driver."""
+def _remove_initial_controllers(
+    scenario: ScenarioFile, root: etree._Element, entity: str, values: Mapping[str, Value]
+) -> None:
+    """Remove the actions in ``Init`` on controllers of an entity: they would replace the entity's new driver.
+
+    Actions of a selection that contains the entity stay.
+    """
     for private in root.findall("Storyboard/Init/Actions/Private"):
-        if private.get("entityRef") == entity:
+        if scenario.replace_parameter(private.get("entityRef", ""), values) == entity:
             for action in private.findall("PrivateAction"):
                 if any(action.find(tag) is not None for tag in _CONTROLLER_ACTIONS):
                     private.remove(action)

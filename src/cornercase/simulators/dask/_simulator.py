@@ -136,7 +136,10 @@ class ClusterSimulator(RemoteSimulator):
                 self._client.cancel(list(running))
 
     def parallel_instances(self) -> Sequence[Simulator]:
-        """Return this simulator once for each task that can run at the same time; `InputError` if no worker comes."""
+        """Return this simulator once for each unit of the resource that workers offer; `InputError` if no worker comes.
+
+        If no resource is used: once for each thread of a worker, or once for each worker if the simulator runs batches.
+        """
         return [self] * self._count_slots()[0]
 
     def cancel(self) -> None:

@@ -136,6 +136,8 @@ def _had_harmless_cut_in(run: Recording, ego: str, hit_collision: Collision) -> 
     """
     i, other_rows = run.entity_index(ego), [k for k, name in enumerate(run.names) if name != ego]
     valid = np.isfinite(run.x[i]) & (run.time <= hit_collision.time + _TIME_TOLERANCE)
+    if np.count_nonzero(valid) < 2:
+        return False
     situation = _stack_instants(run, i, other_rows, valid)
     tracker = RelativeMotionTracker(int(valid.sum()), len(other_rows))
     view = tracker.track_relative_motion(situation, run.acceleration[i, valid])
