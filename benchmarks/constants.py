@@ -26,13 +26,16 @@ import os
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
+
+from cornercase.evidence._critical_set_estimate import _COMMITTEE_PRIOR
+from cornercase.evidence._probit_calibration import CalibrationPrior
 
 # Beside this file; mypy knows them by their package.
 from exploration import EXAMPLES, Folders, Judge  # type: ignore[attr-defined]
@@ -82,7 +85,12 @@ class Change:
 FOUND: list[tuple[str, str, tuple[Any, ...]]] = [
     ("evidence._critical_set_estimate", "PREDICTED_CRITICAL", (0.4, 0.5)),
     ("evidence._critical_set_estimate", "_PREDICTION_WEIGHT", (0.25, 1.0)),
-    ("evidence._critical_set_estimate", "_P_SURPRISES", (0.0, 0.25, 0.9)),
+    ("evidence._critical_set_estimate", "_CHOSEN_WEIGHT", (0.125, 0.5)),
+    (
+        "evidence._critical_set_estimate",
+        "_COMMITTEE_PRIOR",
+        (CalibrationPrior(), *(replace(_COMMITTEE_PRIOR, p_surprises=p) for p in (0.0, 0.5))),
+    ),
     ("evidence._critical_set_estimate", "_UNEXPLAINED", (0.05, 0.2)),
     ("evidence._critical_set_estimate", "_P_HIDDEN", (0.0, 0.25, 0.9)),
     ("evidence._critical_set_estimate", "_MIN_DEVIATION", (0.01, 0.04)),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cornercase.evidence._probit_calibration import ProbitCalibration
+from cornercase.evidence._probit_calibration import CalibrationPrior, ProbitCalibration
 
 
 def record(count, seed=0):
@@ -66,3 +66,28 @@ def test_scenarios_that_a_search_chose_tell_how_far_to_trust_but_not_how_rare_su
     assert surprised.probability_of_critical(away)[0] > 0.9 * without.probability_of_critical(away)[0]
     random = ProbitCalibration(np.append(t, far[0]), np.append(critical, far[1]))
     assert random.draw_parameters(400, np.random.default_rng(1))[2].mean() < 0.5 * alone[2].mean()
+
+
+def test_a_prior_narrows_what_few_predictions_say_and_many_outweigh_it():
+    wrong = CalibrationPrior(-0.4, 0.3, np.log(1.4), 0.3)
+    t, critical = record(30)
+    plain, narrow = (
+        ProbitCalibration(t, critical, 1.0, prior).draw_parameters(400, np.random.default_rng(1))
+        for prior in (CalibrationPrior(), wrong)
+    )
+    assert narrow[0].std() < 0.8 * plain[0].std()
+    assert narrow[0].mean() < plain[0].mean()
+    a, b, _ = ProbitCalibration(*record(20_000), 1.0, wrong).draw_parameters(400, np.random.default_rng(1))
+    assert a.mean() == pytest.approx(0.4, abs=0.1)
+    assert b.mean() == pytest.approx(0.7, abs=0.1)
+
+
+def test_chosen_scenarios_may_weigh_less():
+    t, critical = record(60)
+    whole, quarter = (
+        ProbitCalibration(t, critical, 0.5, chosen=record(150, seed=1), chosen_weight=weight).draw_parameters(
+            400, np.random.default_rng(1)
+        )
+        for weight in (0.5, 0.125)
+    )
+    assert quarter[1].std() > 1.1 * whole[1].std()

@@ -24,8 +24,9 @@ class LaneChange:
     """Change of a vehicle to another lane: `path` is the path along the new lane.
 
     The vehicle starts `start_offset` m to the left of this path. The planned offset from the path shrinks to 0 as a
-    quintic polynomial of `progress`, with lateral speed and acceleration 0 at both ends. `progress` is the elapsed share
-    of the change, from 0 to 1; below 5 m/s it grows more slowly. `distance` is the approximate position of the vehicle along the path in m.
+    quintic polynomial of `progress`, with lateral speed and acceleration 0 at both ends. `progress` is the elapsed
+    share of the change, from 0 to 1; below 5 m/s it grows more slowly. `distance` is the approximate position of the
+    vehicle along the path in m.
 
     Source of the polynomial: M. Werling et al., "Optimal trajectory generation for dynamic street scenarios in a Frenét
     frame", ICRA 2010.

@@ -21,7 +21,12 @@ from cornercase.evidence._critical_set_draws import N_DRAWS, CriticalSetDraws
 from cornercase.evidence._interval_estimate import Estimate
 from cornercase.evidence._multi_fidelity import SourceStudyModel, append_source_prediction
 from cornercase.evidence._out_of_sample import cross_validate_scores
-from cornercase.evidence._probit_calibration import SURPRISE_RATES, ProbitCalibration, draw_stratified_indices
+from cornercase.evidence._probit_calibration import (
+    SURPRISE_RATES,
+    CalibrationPrior,
+    ProbitCalibration,
+    draw_stratified_indices,
+)
 from cornercase.evidence._proportions import anytime_upper_bound, proportion_interval
 from cornercase.evidence._space_sample import SpaceSample
 from cornercase.evidence.gp._gaussian_process import (
@@ -46,10 +51,16 @@ _MIN_SCENARIOS, _MIN_CRITICAL = 20, 3
 # Weight of one prediction in the likelihood; below 1 because errors of neighbouring predictions are correlated. Chosen
 # on the halves "choose" of benchmarks/calibration.py and benchmarks/intervals.py.
 _PREDICTION_WEIGHT: Final = 0.5
-# Prior probability of surprises (`ProbitCalibration`). The probability decreases in proportion if predictions from
-# other scenarios leave less than the second number, a fraction of the variance of the scores, unexplained. Chosen on
-# the half "choose" of benchmarks/intervals.py.
-_P_SURPRISES, _UNEXPLAINED = 0.5, 0.1
+# The same for predictions of scenarios that a search chose, which lie nearer to each other.
+_CHOSEN_WEIGHT: Final = 0.25
+# Prior of the calibration of the Gaussian process, and of a committee, which is rarely wrong by as much: offsets and
+# slopes that would be right on the 12 scenarios of the half "choose" of benchmarks/intervals.py, with somewhat larger
+# deviations.
+_PROCESS_PRIOR: Final = CalibrationPrior()
+_COMMITTEE_PRIOR: Final = CalibrationPrior(-0.1, 0.6, 0.6, 0.6, 0.2)
+# The probability of surprises decreases in proportion if predictions from other scenarios leave less than this fraction
+# of the variance of the scores unexplained. Chosen on the half "choose" of benchmarks/intervals.py.
+_UNEXPLAINED: Final = 0.1
 # Prior probability that there is a critical region to which no score points.
 _P_HIDDEN: Final = 0.5
 # Probability that a hidden region at a random place contains no scenario that was run.
@@ -153,8 +164,9 @@ class CriticalSet:
                 t,
                 critical,
                 _PREDICTION_WEIGHT,
-                self._probability_of_surprises(scores, criterion),
+                self._calibration_prior(scores, criterion),
                 self._collect_chosen_predictions(),
+                _CHOSEN_WEIGHT,
             )
 
     @property
@@ -207,17 +219,19 @@ class CriticalSet:
         chosen = ~self._is_initial_design
         return self._out_of_fold[chosen], self._critical[chosen]
 
-    def _probability_of_surprises(self, scores: FloatArray, criterion: Criterion) -> float:
-        """Return the prior probability of surprises (critical scenarios to which no prediction points).
+    def _calibration_prior(self, scores: FloatArray, criterion: Criterion) -> CalibrationPrior:
+        """Return the prior of the calibration; surprises are improbable if the process predicts left-out scores well.
 
-        The probability is small if the process predicts left-out scores well. This requires a smooth score, and
-        scenarios that are dense enough to follow the score.
+        This requires a smooth score, and scenarios that are dense enough to follow the score.
         """
+        prior = _PROCESS_PRIOR if self._committee is None else _COMMITTEE_PRIOR
         values = squash_around_threshold(scores, criterion, self._process.squash_scale)[self._is_initial_design]
         if len(values) < 2 or np.ptp(values) == 0.0:
-            return _P_SURPRISES
+            return prior
         unexplained = float(np.square(values - self._scores_record[0]).mean() / values.var())
-        return _P_SURPRISES * min(max(unexplained / _UNEXPLAINED, _MIN_PROBABILITY), 1.0)
+        return replace(
+            prior, p_surprises=prior.p_surprises * min(max(unexplained / _UNEXPLAINED, _MIN_PROBABILITY), 1.0)
+        )
 
     @cached_property
     def _joint_points(self) -> tuple[IntArray, FloatArray]:

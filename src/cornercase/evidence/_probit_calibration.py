@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -22,6 +23,17 @@ SURPRISE_RATES: Final = 0.3 * 0.5 ** np.arange(9)
 _RATES: Final = np.append(0.0, SURPRISE_RATES)[:, None]
 
 
+@dataclass(frozen=True)
+class CalibrationPrior:
+    """Prior of a calibration: means and standard deviations of a and log b, and the probability that r is above 0."""
+
+    offset_mean: float = 0.0
+    offset_deviation: float = 1.0
+    log_slope_mean: float = 0.0
+    log_slope_deviation: float = 1.0
+    p_surprises: float = 0.5
+
+
 class ProbitCalibration:
     """Probit calibration: the probability that a scenario is critical is ``p = r + (1 - r) Φ(-(a + b t))``.
 
@@ -30,8 +42,9 @@ class ProbitCalibration:
     surprises: critical scenarios to which no prediction points, for example beyond a jump of the score, or in a region
     thinner than the distance between scenarios. Without r, a few surprises among many right predictions would hardly
     count, because a normal distribution does not provide for them. The parameters a, b and r have a posterior. The
-    prior is standard normal in a and log b, centred at the identity (a = 0, b = 1). The rate r is above 0 with the
-    prior probability `p_surprises`; its logarithm is then uniform between the logarithms of 0.0012 and 0.3.
+    `prior` is normal in a and log b, by default standard normal, so centred at the identity (a = 0, b = 1). The rate r
+    is above 0 with the probability `prior.p_surprises`; its logarithm is then uniform between the logarithms of 0.0012
+    and 0.3.
 
     `t` (n,) holds out-of-sample predictions, `critical` (n,) the outcomes. `prediction_weight` is the weight of one
     prediction in the likelihood; it is below 1 if errors of neighbours are correlated. With more than 160 predictions
@@ -41,7 +54,7 @@ class ProbitCalibration:
     `chosen` holds predictions and outcomes of scenarios that a search chose by scores. They inform a and b, but do not
     show how rare surprises are, since a search looks for critical scenarios where predictions point to them. So the
     chosen scenarios have a rate of surprises of their own, with the same prior. The likelihood of their
-    outcomes is averaged over this rate.
+    outcomes is averaged over this rate. Their predictions have the weight `chosen_weight`, as they lie near each other.
 
     Source: J. Platt, "Probabilistic outputs for support vector machines" (1999), here with the normal distribution
     function and the full posterior on a grid. The rate is the lapse rate of psychometric functions: F. A. Wichmann, N.
@@ -54,15 +67,18 @@ class ProbitCalibration:
         t: FloatArray,
         critical: BoolArray,
         prediction_weight: float = 1.0,
-        p_surprises: float = 0.5,
+        prior: CalibrationPrior = CalibrationPrior(),
         chosen: tuple[FloatArray, BoolArray] | None = None,
+        chosen_weight: float = 1.0,
     ) -> None:
-        a, log_b = (axis.ravel() for axis in np.meshgrid(*[np.linspace(-_REACH, _REACH, _STEPS)] * 2, indexing="ij"))
-        slope, n_rates = np.exp(log_b), len(SURPRISE_RATES)
-        log_prior = np.log(np.append(1.0 - p_surprises, np.full(n_rates, p_surprises / n_rates)))[:, None]
-        log_posterior = log_prior - 0.5 * (a**2 + log_b**2) + _log_likelihood(t, critical, a, slope, prediction_weight)
+        # Standard deviations from the prior means.
+        u, v = (axis.ravel() for axis in np.meshgrid(*[np.linspace(-_REACH, _REACH, _STEPS)] * 2, indexing="ij"))
+        a = prior.offset_mean + prior.offset_deviation * u
+        slope, n_rates = np.exp(prior.log_slope_mean + prior.log_slope_deviation * v), len(SURPRISE_RATES)
+        log_prior = np.log(np.append(1.0 - prior.p_surprises, np.full(n_rates, prior.p_surprises / n_rates)))[:, None]
+        log_posterior = log_prior - 0.5 * (u**2 + v**2) + _log_likelihood(t, critical, a, slope, prediction_weight)
         if chosen is not None:
-            by_rate = log_prior + _log_likelihood(*chosen, a, slope, prediction_weight)
+            by_rate = log_prior + _log_likelihood(*chosen, a, slope, chosen_weight)
             log_posterior = log_posterior + logsumexp(by_rate, axis=0)
         density = np.exp(log_posterior - log_posterior.max())
         self._a, self._b, self._rate = (np.broadcast_to(values, density.shape).ravel() for values in (a, slope, _RATES))
