@@ -72,12 +72,13 @@ def test_a_prior_narrows_what_few_predictions_say_and_many_outweigh_it():
     wrong = CalibrationPrior(-0.4, 0.3, np.log(1.4), 0.3)
     t, critical = record(30)
     plain, narrow = (
-        ProbitCalibration(t, critical, 1.0, prior).draw_parameters(400, np.random.default_rng(1))
+        ProbitCalibration(t, critical, prior=prior).draw_parameters(400, np.random.default_rng(1))
         for prior in (CalibrationPrior(), wrong)
     )
     assert narrow[0].std() < 0.8 * plain[0].std()
     assert narrow[0].mean() < plain[0].mean()
-    a, b, _ = ProbitCalibration(*record(20_000), 1.0, wrong).draw_parameters(400, np.random.default_rng(1))
+    t, critical = record(20_000)
+    a, b, _ = ProbitCalibration(t, critical, prior=wrong).draw_parameters(400, np.random.default_rng(1))
     assert a.mean() == pytest.approx(0.4, abs=0.1)
     assert b.mean() == pytest.approx(0.7, abs=0.1)
 
