@@ -26,7 +26,8 @@ class Port:
 
     After ``StartSim`` it prepares, adapts its driver, runs and postprocesses, each for some questions for its status;
     then it is idle, and its result lies in a new file; without a course it never begins. ``odd`` says what it answers instead, by the word a command
-    begins with; ``waits`` whether ``WaitForStatus`` waits, comes back at once, or is an error.
+    begins with; ``waits`` whether ``WaitForStatus`` waits, comes back at once, is an error, or waits for a state that
+    does not come by itself until its time is up ("in full").
     """
 
     def __init__(
@@ -84,6 +85,9 @@ class Port:
         if word == "SimStatus":
             return b"O%d\r\n\r\n" % self._next()
         if word == "WaitForStatus":
+            is_there = self._state() >= 0 if rest[0] == "running" else self._state() == -2
+            if self._waits == "in full" and not is_there:
+                time.sleep(1e-3 * int(rest[1]))
             for _ in range(100 if self._waits == "waits" else 0):
                 if self._state() >= 0 if rest[0] == "running" else self._state() == -2:
                     break

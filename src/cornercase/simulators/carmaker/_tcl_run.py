@@ -168,13 +168,12 @@ class TclTestRun:
 
     def _stop_run(self) -> int:
         self._send("StopSim")
-        self._wait_for_state("idle", self._start_timeout)
-        return self._poll_status(lambda status: status == _IDLE, self._start_timeout, raises_if_fatal=False)
+        return self._wait_for_state("idle", lambda now: now == _IDLE, self._start_timeout, raises_if_fatal=False)
 
     def _wait_for_start(self, earlier_files: ResultFileTracker) -> None:
         """Wait until the run has started; a short run may already have ended at the first poll."""
-        self._wait_for_state("running", self._start_timeout)
-        status = self._poll_status(
+        status = self._wait_for_state(
+            "running",
             lambda now: (
                 now >= 0 or now in (_POSTPROCESSING, _PAUSED) or (now == _IDLE and bool(earlier_files.new_files()))
             ),
@@ -189,8 +188,7 @@ class TclTestRun:
             )
 
     def _wait_for_end(self) -> None:
-        self._wait_for_state("idle", self._run_timeout)
-        status = self._poll_status(lambda now: now in (_IDLE, _PAUSED), self._run_timeout)
+        status = self._wait_for_state("idle", lambda now: now in (_IDLE, _PAUSED), self._run_timeout)
         if status == _IDLE:
             return
         stopped = self._stop_run()
@@ -222,18 +220,20 @@ class TclTestRun:
             " results"
         )
 
-    def _wait_for_state(self, state: str, seconds: float) -> None:
-        """Let CarMaker itself wait for a state or a time-out; poll the status afterwards to know which came first."""
+    def _wait_for_state(
+        self, state: str, is_accepted: Callable[[int], bool], seconds: float, *, raises_if_fatal: bool = True
+    ) -> int:
+        """Wait until `is_accepted` accepts the status or the time in s is over; return the last status.
+
+        CarMaker itself waits for `state` first.
+        """
+        deadline = time.monotonic() + seconds
         try:
             self._client.send(f"WaitForStatus {state} {round(1000 * seconds)}", seconds + self._start_timeout)
         except SimulationError as error:
             # The time limit is over, or CarMaker cannot wait.
             if isinstance(error, SimulatorError):
                 raise
-
-    def _poll_status(self, is_accepted: Callable[[int], bool], seconds: float, *, raises_if_fatal: bool = True) -> int:
-        """Poll the status until `is_accepted` accepts it or the time in s is over; return the last status."""
-        deadline = time.monotonic() + seconds
         while not is_accepted(status := self._read_status(raises_if_fatal)) and time.monotonic() < deadline:
             time.sleep(_POLL_INTERVAL)
         return status
