@@ -39,6 +39,22 @@ def test_a_traffic_signal_is_what_it_was_switched_to(tmp_path):
     assert fast[0] == pytest.approx(2.0 + 2 * DT, abs=1.5 * DT)
 
 
+@pytest.mark.parametrize("second", ["", '<Phase name="none" duration="0"/>'])
+def test_a_controller_with_one_phase_sets_its_signals_again_in_each_cycle(tmp_path, second):
+    switch = """<GlobalAction><InfrastructureAction><TrafficSignalAction><TrafficSignalStateAction name="7" state="green"/>
+</TrafficSignalAction></InfrastructureAction></GlobalAction>"""
+    red = """<ConditionGroup><Condition name="c" delay="0" conditionEdge="rising"><ByValueCondition>
+<TrafficSignalCondition name="7" state="red"/></ByValueCondition></Condition></ConditionGroup>"""
+    story = story_of(event("green", switch, time_trigger("1.5")) + event("go", speed_action("25"), red))
+    path = scenario_file(tmp_path, init=moving(), story=story, stop=time_trigger("4"))
+    signals = f"""<TrafficSignals><TrafficSignalController name="main"><Phase name="red" duration="1">
+<TrafficSignalState trafficSignalId="7" state="red"/></Phase>{second}</TrafficSignalController></TrafficSignals>"""
+    path.write_text(path.read_text().replace("</RoadNetwork>", f"{signals}</RoadNetwork>", 1))
+    recording = run(path)
+    fast = recording.time[recording.speed[0] > 20]
+    assert fast[0] == pytest.approx(2.0 + DT, abs=1.5 * DT)
+
+
 SIGNALS = """<TrafficSignals><TrafficSignalController name="main">
 <Phase name="red" duration="$red"><TrafficSignalState trafficSignalId="7" state="red"/></Phase>
 <Phase name="green" duration="1"><TrafficSignalState trafficSignalId="7" state="green"/></Phase></TrafficSignalController>

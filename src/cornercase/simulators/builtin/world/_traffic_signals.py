@@ -39,6 +39,7 @@ class SignalController:
         self.delay = delay
         self._cycle_start = delay.copy()
         self._phase = np.full(len(delay), -1)
+        self._cycle = np.zeros(len(delay))
 
     def postpone(self, time: FloatArray) -> None:
         """Let the first cycle begin later by a time in s in each scenario, shape (N,)."""
@@ -69,11 +70,13 @@ class SignalController:
     def update_signals(self, signals: dict[str, npt.NDArray[np.str_]], time: FloatArray, where: BoolArray) -> None:
         """Set the states of signals in those scenarios of a mask in which a new phase has begun."""
         phases = np.where(where, self.phase_at(time), self._phase)
-        for k in np.unique(phases[phases != self._phase]):
-            has_started = (phases == k) & (phases != self._phase)
+        cycles = np.where(where, (time - self._cycle_start + _TINY) // self._phase_ends[-1], self._cycle)
+        is_new = (phases != self._phase) | (cycles != self._cycle)
+        for k in np.unique(phases[is_new]):
+            has_started = (phases == k) & is_new
             for signal, state in self._states[k].items():
                 signals[signal] = np.where(has_started, state, signals.get(signal, np.full(len(phases), "")))
-        self._phase = phases
+        self._phase, self._cycle = phases, cycles
 
 
 def read_signal_controllers(root: etree._Element, scope: Scope) -> dict[str, SignalController]:
