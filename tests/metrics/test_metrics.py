@@ -253,6 +253,20 @@ def test_trajectory_distance_reaches_beyond_the_recording_as_far_as_told():
         TrajectoryDistance(ahead=-1)
 
 
+@pytest.mark.parametrize("stops", [False, True])
+def test_the_track_of_an_entity_that_reverses_goes_on_backwards(stops):
+    """Backwards at 5 m/s along y = 0 from x = -30, to the end or to a stop at x = -20; the other drives along x = 0."""
+    time = np.arange(0, 4, 0.1)
+    moving = np.minimum(time, 2.0)
+    back = np.stack([5 * moving - 30, 0 * time], -1)
+    speed = np.where(stops & (time > 2.0), 0.0, -5.0)
+    up = np.stack([0 * time, 2 * time - 40], -1)
+    track = along(back, time, speed=speed)
+    reversing = (track[0], np.full(len(time), np.pi), *track[2:])
+    course = TrajectoryDistance().course(together(time, reversing, along(up, time)), "0", "1")
+    np.testing.assert_allclose(course, 70 - 5 * moving - 2 * time)
+
+
 def test_a_track_that_joins_another_meets_it_where_it_joins():
     """A quarter circle of radius 10 m onto y = 0 at the origin, then along it, in steps of 8 cm; the other is
     on y = 0.

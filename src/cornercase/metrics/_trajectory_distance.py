@@ -15,9 +15,9 @@ class TrajectoryDistance(Metric):
     """Sum of the distances that both entities still have along their tracks to the crossing of the tracks.
 
     ``d_ego + d_other`` in m. A track joins the recorded centres of the bounding box. After the last centre it goes
-    straight on for `ahead`, along the last heading. So an entity that stands, or stops before the crossing, has a path
-    too. Only a crossing ahead of both entities counts; if there are several, the one with the smallest sum. The value
-    depends on the shape of the tracks, not on the speeds.
+    straight on for `ahead`, along the last heading, or backwards if the entity last moved backwards. So an entity that
+    stands, or stops before the crossing, has a path too. Only a crossing ahead of both entities counts; if there are
+    several, the one with the smallest sum. The value depends on the shape of the tracks, not on the speeds.
 
     Not defined if one of the two does not exist, or if no crossing lies ahead of both. Some tracks do not cross:
     parallel tracks, one entity behind the other, and tracks that merge without touching. A track that joins the other

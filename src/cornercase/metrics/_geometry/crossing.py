@@ -20,6 +20,9 @@ _MIN_STEP = 1e-9
 _PARALLEL = 1e-6
 """Sine of the angle up to which two pieces of track are parallel and do not cross."""
 
+_STANDING_SPEED = 0.1
+"""Speed in m/s below which an entity does not move forwards or backwards."""
+
 _INITIAL_CAPACITY = 256
 
 
@@ -27,7 +30,8 @@ def distances_to_crossing(recording: Recording, ego: str, other: str, ahead: flo
     """Return the distances of ego and other to the crossing of their tracks ahead, in m, shape (T,) each.
 
     If several crossings lie ahead of both, the crossing with the smallest sum of both distances counts. NaN if no
-    crossing lies ahead of both. Each track goes straight on for `ahead` m after the last recorded centre.
+    crossing lies ahead of both. Each track goes straight on for `ahead` m after the last recorded centre, backwards if
+    the entity last moved backwards.
     """
     tracks = _CenterTrack(recording, ego, ahead), _CenterTrack(recording, other, ahead)
     crossings = _crossing_distances(*tracks)
@@ -48,11 +52,12 @@ def distances_to_crossing(recording: Recording, ego: str, other: str, ahead: flo
 class _CenterTrack:
     """Polyline through the recorded centres of an entity's box, and the distance along it at each instant.
 
-    After the last centre, the line goes straight on for `ahead` m.
+    After the last centre, the line goes straight on for `ahead` m, backwards if the entity last moved backwards.
     """
 
     def __init__(self, recording: Recording, name: str, ahead: float) -> None:
-        center, heading = recording.box_center(name), recording.heading[recording.entity_index(name)]
+        k, center = recording.entity_index(name), recording.box_center(name)
+        heading, speed = recording.heading[k], recording.speed[k]
         exists = np.flatnonzero(np.isfinite(center).all(-1))
         points = center[exists]
         along = np.concatenate([np.zeros(min(len(exists), 1)), _segment_lengths(points).cumsum()])
@@ -60,7 +65,9 @@ class _CenterTrack:
         self.distance_at[exists] = along
         if len(exists):
             last = heading[exists[-1]]
-            tip = points[-1] + ahead * np.array([np.cos(last), np.sin(last)])
+            moving_speeds = speed[np.abs(speed) >= _STANDING_SPEED]
+            signed_ahead = -ahead if (moving_speeds[-1:] < 0.0).any() else ahead
+            tip = points[-1] + signed_ahead * np.array([np.cos(last), np.sin(last)])
             points, along = np.vstack([points, tip]), np.append(along, along[-1] + ahead)
         moves = np.flatnonzero(_segment_lengths(points) > _MIN_STEP)
         self.start, self.step, self.piece_distance = points[moves], points[moves + 1] - points[moves], along[moves]
