@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from cornercase._common.numba.interpret import interpret
@@ -42,6 +42,7 @@ def compute(x, y, out):
     z /= y
     z %= 3.0
     out[18] = z
+    out[19], out[20] = math.log(x), math.exp(y)
 
 
 @kernel(error_model="numpy")
@@ -53,8 +54,9 @@ def compute_with_integers(m, n, out):
 
 @settings(deadline=None)
 @given(NUMBERS, NUMBERS)
+@example(0.0, 1000.0)
 def test_interpreted_kernels_compute_the_bits_of_compiled_ones(x, y):
-    compiled, python = np.empty(19), np.empty(19)
+    compiled, python = np.empty(21), np.empty(21)
     compute(x, y, compiled)
     interpret(compute, (x, y, python))
     assert np.array_equal(compiled, python, equal_nan=True)

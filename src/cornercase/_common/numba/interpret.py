@@ -145,14 +145,16 @@ class _OperatorReplacer(ast.NodeTransformer):
         return ast.copy_location(ast.Assign([node.target], value), node)
 
 
-def _return_nan_on_error(compute: Callable[..., Any]) -> Callable[..., Any]:
-    """Wrap a function of floats so that it returns NaN where Python raises an exception, as compiled code does."""
+def _without_exceptions(compute: Callable[..., Any]) -> Callable[..., Any]:
+    """Wrap a function of `math` so that it returns NaN or infinity, as compiled code does, instead of an exception."""
 
     def run(*args: Any) -> Any:
         try:
             return compute(*args)
-        except (ValueError, OverflowError):
-            return math.nan
+        except OverflowError:
+            return math.inf
+        except ValueError:
+            return -math.inf if compute is math.log and args[0] == 0 else math.nan
 
     return run
 
@@ -213,7 +215,7 @@ def _convert_to_int64(value: Any) -> int:
 # Python's own hypot rounds differently from the hypot of the C library.
 _MATH: Final = SimpleNamespace(**vars(math))
 for _name in ("acos", "asin", "atan", "atan2", "cos", "exp", "fmod", "log", "sin", "sqrt", "tan"):
-    setattr(_MATH, _name, _return_nan_on_error(getattr(math, _name)))
+    setattr(_MATH, _name, _without_exceptions(getattr(math, _name)))
 _MATH.hypot = np.hypot
 _MATH.floor, _MATH.ceil = lambda x: _convert_to_int64(np.floor(x)), lambda x: _convert_to_int64(np.ceil(x))
 
