@@ -84,3 +84,10 @@ def test_for_the_careful_human_a_cut_in_with_time_to_spare_is_no_danger(gap, col
     assert judged("fsm", run).collides
     # Nor does it exist for an entity that was ahead all the time.
     assert judged("cc-human", ahead(gap, 10.0, collides=gap / 10.0)).collides
+
+
+def test_a_collision_in_the_first_instant_is_no_cut_in():
+    run = ahead(-1.0, 10.0, collides=0.0)
+    first = {name: getattr(run, name)[:, :1] for name in ("x", "y", "heading", "speed", "acceleration")}
+    run = replace(run, time=run.time[:1], **first)
+    assert judged("cc-human", run) == ReferenceOutcome(True, 0.0)

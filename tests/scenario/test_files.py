@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import re
 
 import pytest
 
@@ -14,7 +15,9 @@ from cornercase.scenario._concrete_file import write_concrete_file
 from cornercase.scenario._file import ScenarioFile
 from cornercase.scenario._scenario_search import find_scenario_file
 from cornercase.simulators import simulate
+from helpers.isolation import ROOT
 
+DECELERATION = ROOT / "examples" / "r157" / "deceleration.xosc"
 VEHICLE = """<Vehicle name="{name}" vehicleCategory="car"><BoundingBox><Center x="1.4" y="0" z="0.7"/>
 <Dimensions length="{length}" width="2" height="1.5"/></BoundingBox>
 <Performance maxSpeed="60" maxAcceleration="200" maxDeceleration="200"/><Axles/><Properties/></Vehicle>"""
@@ -185,3 +188,19 @@ def test_43_only_files_that_hold_a_catalog_are_catalogs(tmp_path, other):
     written = write_concrete_file(ScenarioFile.read(path), {}, tmp_path / "there" / "out.xosc")
     assert tmp_path / "there" / "other.xosc" not in written
     assert "other.xosc" not in [one.name for one in written]
+
+
+def test_an_initial_controller_of_an_entity_named_by_a_parameter_is_not_written(tmp_path):
+    path = tmp_path / "deceleration.xosc"
+    (tmp_path / "motorway.xodr").write_bytes((DECELERATION.parent / "motorway.xodr").read_bytes())
+    who = '<ParameterDeclaration name="who" parameterType="string" value="Ego"/></ParameterDeclarations>'
+    private = """<Private entityRef="$who"><PrivateAction><ControllerAction><AssignControllerAction><Controller name="c">
+<Properties><Property name="cornercase.driver" value="cautious"/></Properties></Controller></AssignControllerAction>
+</ControllerAction></PrivateAction></Private></Actions></Init>"""
+    text = DECELERATION.read_text().replace("</ParameterDeclarations>", who, 1)
+    path.write_text(re.sub(r"</Actions>\s*</Init>", private, text, count=1))
+    assert "AssignControllerAction" in path.read_text()
+    target = tmp_path / "out" / "scenario.xosc"
+    write_concrete_file(ScenarioFile.read(path), {}, target, drivers={"Ego": "aggressive"})
+    assert "AssignControllerAction" not in target.read_text()
+    assert ScenarioFile.read(target).drivers["Ego"] == "aggressive"
