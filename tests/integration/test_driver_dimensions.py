@@ -277,7 +277,7 @@ def test_a_reference_driver_does_not_get_the_values_of_the_driver(folder, tmp_pa
 def test_mutants_need_a_driver_whose_options_are_not_varied(folder):
     ended = cornercase("reduce", "preset.db", "--kill-mutants", 5, "-o", "mutants", cwd=folder)
     assert ended.returncode == 2
-    assert "Mutants need the same driver of Ego in all scenarios, but Ego.reaction_time varies" in ended.stderr
+    assert "driver of Ego in all scenarios, but Ego.reaction_time is a parameter of the scenarios;" in ended.stderr
 
 
 def test_sumo_says_that_it_drives_itself(tmp_path):

@@ -302,12 +302,12 @@ def _iter_violations(
 
 
 def _require_fixed_driver(ego: str, concretes: Sequence[ConcreteScenario]) -> None:
-    """Raise `InputError` if parameters of the ego's driver vary, since a mutant is the same driver in all scenarios."""
+    """Raise `InputError` if scenarios have a parameter of the ego's driver: its value would replace the mutant's."""
     for concrete in concretes:
         if others := {*concrete.values} - {*concrete.without_driver_parameters(ego).values}:
             raise InputError(
-                f"Mutants need the same driver of {ego} in all scenarios, but {min(others)} varies;"
-                " leave out the mutants."
+                f"Mutants need the same driver of {ego} in all scenarios, but {min(others)} is a parameter of the"
+                " scenarios; leave out the mutants."
             )
 
 
