@@ -176,9 +176,11 @@ def test_an_old_result_is_never_taken_for_a_new_one(project, quick, waits, behav
 
 def test_the_time_limit_of_a_run_is_waited_for_once(project):
     port = Port(waits="in full", course=[1] * 10_000)
-    with closing(TclClient("127.0.0.1", port.number)) as line:
-        with pytest.raises(SimulationError, match=r"did not end the TestRun within 0\.2 s"):
-            TclTestRun(line, project, 0.2, start_timeout=1.0).run_testrun("Crossing", {})
+    with (
+        closing(TclClient("127.0.0.1", port.number)) as line,
+        pytest.raises(SimulationError, match=r"did not end the TestRun within 0\.2 s"),
+    ):
+        TclTestRun(line, project, 0.2, start_timeout=1.0).run_testrun("Crossing", {})
     after = port.asked[port.asked.index("WaitForStatus idle 200") + 1 :]
     assert after[:2] == ["SimStatus", "StopSim"]
     port.close()
