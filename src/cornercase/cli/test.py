@@ -84,8 +84,8 @@ def test_suite(
 ) -> None:
     """Run a reduced set, or any concrete scenarios, and judge the runs.
 
-    Exit code 0: all passed; 1: some failed or could not be run; 2: nothing could be run. Run the same command again to
-    resume.
+    Exit code 0: all passed, or were inconclusive without --strict; 1: some failed or could not be run, or were
+    inconclusive with --strict; 2: nothing could be run. Run the same command again to resume.
 
     \b
     Example:

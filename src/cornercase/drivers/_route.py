@@ -25,7 +25,8 @@ class Route(NamedTuple):
     `step` (N,): distance along the path between samples in m. `x`, `y` (N, R): positions of the samples in m. `cos`,
     `sin` (N, R): cosine and sine of the heading at the samples. `max_speed_squared` (N, R): square of the highest speed
     that the curves ahead allow, in m²/s²: at each sample, the lowest value within one step before and after the sample,
-    so that interpolation never gives more than the curves allow. `straight_count` (N, R): number of next samples that
+    so that interpolation never gives more than the curves allow. If the path has no sample within one step, the value
+    of its next sample counts. `straight_count` (N, R): number of next samples that
     lie straight ahead of a sample. `max_spacing` (N,): largest straight distance between two consecutive samples in m.
     `max_turn` (N,): largest length of the difference between the unit vectors (cos, sin) of two consecutive samples.
     """

@@ -19,14 +19,16 @@ class Stl(Metric):
     """Robustness of a formula of signal temporal logic: positive if it holds, negative if it is violated.
 
     The course is the robustness from each instant on; the score is the robustness at the first instant. The unit is
-    the common unit of all parts of the formula, or 1 if they have several units. Not defined (NaN at all instants) if
-    no bound was ever defined, or if the result depends on something that the run does not show, such as the lanes if
-    the roads are unknown.
+    the common unit of all parts of the formula, or 1 if they have several units. 0 is exactly at the limit, where the
+    formula may hold or be violated: ``clearance > 0`` at a contact. Not defined (NaN at all instants) if the formula
+    has a bound and no part of it was ever defined, or if the result depends on something that the run does not show,
+    such as the lanes if the roads are unknown.
 
     Each part of the formula has a cap, and the largest of these is the cap of the metric. If a part compares a metric
     with a number, its cap is the distance of the number from the cap of that metric. So ``stl:always(clearance > 0.5)``
     scores the ``clearance`` less 0.5. Every other part has the cap 100. The most critical value is -100, or lower if a
-    number is more than 100 away from the most critical value of its metric.
+    number is more than 100 away from the `bound` of its metric. Metrics without `bound`, such as the ``clearance``, do
+    not count.
 
     Source: G. E. Fainekos, G. J. Pappas, "Robustness of temporal logic specifications for continuous-time signals",
     Theoretical Computer Science 410 (2009); A. Donzé, O. Maler, "Robust satisfaction of temporal logic over real-valued

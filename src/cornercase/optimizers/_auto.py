@@ -55,11 +55,11 @@ class Auto(Committee):
     If scenarios fail, trees learn which scenarios fail, and likely failures are avoided. With a warm start, the
     prediction of the other study is an additional coordinate of the classifiers, as in `Committee`.
 
-    Kernels and weights are learned again after every ten new scores, or when the number of scores has grown by half if
-    that is later: from the first 20, 30, 45, 67, 100, 150 and so on. While all scenarios are critical, or none, they
-    are learned again after every ten scores. In between, the classifiers are trained again after every five scores.
-    Features are predicted from at most 256 scenarios, half of them nearest to the threshold, so that a proposal takes
-    no longer after many scenarios.
+    Kernels and weights are learned again after every ten new scenarios, failed ones too, or when their number has grown
+    by half if that is later: from the first 20, 30, 45, 67, 100, 150 and so on. While all scenarios are critical, or
+    none, they are learned again after every ten scenarios. In between, the classifiers are trained again after every
+    five scores. Features are predicted from at most 256 scenarios, half of them nearest to the threshold, so that a
+    proposal takes no longer after many scenarios.
 
     Parameters
     ----------

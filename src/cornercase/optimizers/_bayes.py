@@ -29,8 +29,8 @@ class Bayes(CandidateOptimizer):
     The settings follow Schütt, Otten and Sax (2023), section "Optimization Workflow": automatic hyperparameters,
     Thompson sampling, random feature maps. PHYSBO is the maintained successor of the package COMBO, which they used.
     The first 20 points are a Sobol' sequence. Hyperparameters are learned and feature maps drawn again after every ten
-    new scores, or when the number of scores has grown by a tenth if that is later. In between, the Gaussian process is
-    only conditioned on the new scores.
+    new scenarios, failed ones too, or when their number has grown by a tenth if that is later. In between, the Gaussian
+    process is only conditioned on the new scores.
 
     Each point of a round comes from another sample of the process. Each sample chooses among its own candidates, so a
     round contains no scenario twice and does not crowd at one end of a critical region.

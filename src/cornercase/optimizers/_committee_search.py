@@ -52,8 +52,8 @@ class Committee(WarmStartOptimizer):
     study predicts. If the other study predicts the scores of these points well, the classifiers learn from fewer points
     than without a warm start.
 
-    The kernels of the committee are learned again after every ten new scores, or when the number of scores has grown by
-    a quarter if that is later.
+    The kernels of the committee are learned again after every ten new scenarios, failed ones too, or when their number
+    has grown by a quarter if that is later.
 
     Parameters
     ----------

@@ -23,9 +23,9 @@ class Meeting:
     (outlines) of both entities: 0 at a contact, NaN if both entities never exist at the same time. Speeds are in m/s
     along the heading; `relative_speed` is the magnitude of the relative velocity.
 
-    `sides` are the touching sides of the ego's box and the other box, and `point` is the point of contact in m. Both
-    are None if there is no contact, or if they are unknown. `crosses` is True if the paths cross, False if both go in
-    the same direction in one lane or in adjacent lanes, and None in any other case.
+    `sides` are the touching sides of the ego's box and the other box, each None if unknown, and `point` is the point of
+    contact in m, or None if unknown. Both are None if there is no contact. `crosses` is True if the paths cross, False
+    if both go in the same direction in one lane, in adjacent lanes or on paths that overlap, and None otherwise.
 
     `further_contacts` are contacts of the ego with other measured entities, and `unmeasured_contacts` with unmeasured
     entities. Each contact is the name of an entity and the time in s of the first contact, sorted by time.

@@ -215,6 +215,8 @@ def drive_cut_out(name: str, speed: FloatArray, front_gap: FloatArray, lateral_s
 def drive_deceleration(name: str, speed: FloatArray, deceleration: FloatArray) -> EncounterOutcome:
     """Simulate a reference driver behind a car that brakes at a constant rate to a standstill.
 
+    The run ends after 34.9 s at the latest.
+
     Parameters
     ----------
     name : str

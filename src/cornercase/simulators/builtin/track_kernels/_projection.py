@@ -28,8 +28,9 @@ _COARSE_STRIDE = 64
 def project_on_lane_path(addresses, n_samples, max_sample_gap, x, y, after):
     """Return the distance along a lane path at which the path is nearest to each of R points, in m, shape (R,).
 
-    If the path passes a point several times, the first pass beyond the distance `after` - 1 m counts, or the first of
-    all if there is none. `addresses` are the memory addresses of the arrays of the path with `n_samples` samples.
+    If the path passes a point several times, the 16 samples nearest to the point are compared. The first one beyond
+    `after` - 1 m decides which pass counts. If there is none, the first pass among them counts. With many passes, the
+    right one may be missed. `addresses` are the memory addresses of the arrays of the path with `n_samples` samples.
     `max_sample_gap` is the largest distance between consecutive samples in m.
     """
     result = np.empty(len(x))
