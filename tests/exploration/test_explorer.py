@@ -248,6 +248,7 @@ def scripted(rounds):
 
     class Scripted:
         name = "scripted"
+        requires = ()
 
         def __init__(self):
             self.told = 0

@@ -41,7 +41,8 @@ def find_explored_scenario(
         given = scenario if isinstance(scenario, ScenarioFile) else ScenarioFile.read(scenario)
         return _require_explored(study, add_varied_roads(given, meta.space))
     # The study may come from anywhere: without the option, its stored path is not opened.
-    stored = resolve_stored_path(meta.scenario, study.path) if search_stored_path and not meta.suite else None
+    is_stored_path_searched = search_stored_path and not meta.suite
+    stored = resolve_stored_path(meta.scenario, study.path) if is_stored_path_searched else None
     remembered = find_remembered_path(meta.fingerprint) if search_remembered_path else None
     changed = []
     for path in (stored, remembered):
@@ -55,7 +56,7 @@ def find_explored_scenario(
         return explored
     changed += others
     if not changed:
-        at = f", or at {meta.scenario}" if stored is not None and "/" in meta.scenario else ""
+        at = f", or at {meta.scenario}" if is_stored_path_searched and "/" in meta.scenario else ""
         raise InputError(
             f"{study.path}: the scenario file '{meta.file_name}' was not found beside the study, in the current"
             " folder, up to"
