@@ -124,9 +124,12 @@ def _corner_margins(road: Road, section: int, strip: tuple[int, ...], corners: F
 
 def _is_along(road: Road, s: FloatArray, x: FloatArray, y: FloatArray) -> BoolArray:
     """Return whether points, whose s was found by `_road_coordinates`, are not beyond the ends of the road, (N,)."""
-    on_x, on_y, heading = road.reference_pose(s)
-    ahead = (x - on_x) * np.cos(heading) + (y - on_y) * np.sin(heading)
-    return np.asarray(((s > 0.0) | (ahead > -_END_TOLERANCE)) & ((s < road.length) | (ahead < _END_TOLERANCE)))
+    is_along = (s > 0.0) & (s < road.length)
+    at_end = np.flatnonzero(~is_along)
+    on_x, on_y, heading = road.reference_pose(s[at_end])
+    ahead = (x[at_end] - on_x) * np.cos(heading) + (y[at_end] - on_y) * np.sin(heading)
+    is_along[at_end] = np.where(s[at_end] > 0.0, ahead < _END_TOLERANCE, ahead > -_END_TOLERANCE)
+    return np.asarray(is_along)
 
 
 def _road_coordinates(road: Road, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -16,6 +16,8 @@ from cornercase._common.text.element_locations import format_location
 from cornercase.scenario._normalize import normalize_openscenario
 from cornercase.scenario._other_formats import describe_non_xml_format
 
+FALLBACK_ENCODING: Final = "cp1252"
+"""Encoding in which a file is read if neither the declared encoding nor UTF-8 fits."""
 _MAX_NESTING: Final = 200
 # XML declaration, with misplaced white space and comments before it.
 _XML_DECLARATION: Final = re.compile(r"((?>\s+|<!--(?:(?!-->).)*-->)*)<\?xml\s[^>]*\?>", re.DOTALL)
@@ -77,7 +79,7 @@ def _parse_leniently(data: bytes, path: Path | str) -> etree._Element | None:
     try:
         text, encoding = data.decode("utf-8-sig"), "UTF-8"
     except UnicodeDecodeError:
-        text, encoding = data.decode("cp1252", errors="replace"), "Windows-1252"
+        text, encoding = data.decode(FALLBACK_ENCODING, errors="replace"), "Windows-1252"
     faults = []
     declaration = _XML_DECLARATION.match(text)
     if declaration is not None:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Final
 from xml.sax.saxutils import quoteattr
 
-from cornercase.scenario._xml import parse_xml
+from cornercase.scenario._xml import FALLBACK_ENCODING, parse_xml
 
 # Tokens of well-formed XML without a document type declaration.
 _TOKEN: Final = re.compile(
@@ -28,7 +28,7 @@ class XmlEditor:
             self._text = content.decode(self._encoding)
         except UnicodeDecodeError:
             # As `parse_xml` reads it.
-            self._encoding = "cp1252"
+            self._encoding = FALLBACK_ENCODING
             self._text = content.decode(self._encoding, errors="replace")
         self._starts: list[re.Match[str]] = []
         self._ends: dict[int, re.Match[str]] = {}
