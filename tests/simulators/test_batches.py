@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gc
 import re
+import weakref
 from collections.abc import Generator
 
 import numpy as np
@@ -69,6 +71,25 @@ def test_a_recording_holds_no_more_memory_than_its_own():
     found[0].x[:] = 0.0
     np.testing.assert_array_equal(found[1].x, found[2].x)
     assert (found[1].x != 0.0).any()
+
+
+def test_the_memory_of_a_batch_is_free_again_without_garbage_collection(monkeypatch):
+    pages = []
+
+    def watched(*arguments):
+        batch = Batch(*arguments)
+        pages.append(weakref.ref(batch._stepper.scene.pages))
+        return batch
+
+    monkeypatch.setattr(builtin_simulator, "Batch", watched)
+    was_enabled = gc.isenabled()
+    gc.disable()
+    try:
+        assert len(results(ROOT / "examples" / "t_intersection" / "t_intersection.xosc", {}, {})) == 2
+        assert [page() for page in pages] == [None]
+    finally:
+        if was_enabled:
+            gc.enable()
 
 
 def test_a_nurbs_is_the_same_for_one_scenario_and_for_many():

@@ -7,6 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from threading import Lock
 from typing import Any, Final, Protocol
+from weakref import proxy
 
 import numpy as np
 from numba import int64, typeof
@@ -168,7 +169,8 @@ class Stepper:
         has_memory = table.triggers[:, 2] == 0
         has_memory[self._python_triggers] = False
         self._triggers_with_memory = np.flatnonzero(has_memory)
-        self._world.evaluate_leaves = self._evaluate_leaves
+        # Weak, so that the recordings are freed as soon as the batch is.
+        self._world.evaluate_leaves = partial(Stepper._evaluate_leaves, proxy(self))
 
     def run(self, n_threads: int, gil_lock: Lock | None = None) -> None:
         """Step until every scenario has ended, in at most `n_threads` threads; compiled code releases `gil_lock`."""
