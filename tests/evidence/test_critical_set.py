@@ -321,10 +321,10 @@ def test_where_too_little_was_chosen_blindly_no_interval_is_given_and_it_says_wh
     assert (
         StopCriterion.parse("interval<0.5").evaluate(known) == StopCriterion.parse("missed<0.9").evaluate(known) == 1.0
     )
-    few = CriticalSet(CUBE, points, scores, Criterion(THRESHOLD), initial_design=(scores > THRESHOLD) | (first < 1))
-    assert few.interval_unavailable is None
-    assert few.missed_interval_unavailable is not None
-    assert "are critical" in few.missed_interval_unavailable
+    none = CriticalSet(CUBE, points, scores, Criterion(-1.0))
+    assert none.interval_unavailable is None
+    assert none.missed_interval_unavailable == "no critical scenario was found"
+    assert (none.missed_fraction.value, none.missed_upper_bound()) == (1.0, 1.0)
     audits = np.random.default_rng(5).random((60, 3))
     both = (audits, two_regions(audits))
     assert (
