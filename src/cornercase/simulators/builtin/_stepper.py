@@ -11,6 +11,7 @@ from weakref import proxy
 
 import numpy as np
 from numba import int64, typeof
+from numba._dispatcher import compute_fingerprint
 from numba.core.dispatcher import Dispatcher
 
 from cornercase._common.masks import any_true
@@ -62,6 +63,8 @@ _FALLBACK_STATE: Final = np.arange(NEEDS_LOOKUP_MOVE + 1, dtype=np.int8)
 _FALLBACK_STATE[[NEEDS_LANE, NEEDS_LOOKUP_ACT, NEEDS_LOOKUP_MOVE]] = NEEDS_STORYBOARD, ACTION_ENDED, NEEDS_STORYBOARD
 # Scenarios that are worth a thread.
 _MIN_SCENARIOS_PER_THREAD: Final = 32
+# The compiled time loop, by numba's key for the types of its arguments.
+_COMPILED_LOOPS: Final = dict[bytes, Any]()
 
 
 class Coupling(Protocol):
@@ -354,12 +357,16 @@ def _bind_arguments(*arguments: Any) -> tuple[Callable[[int, int], object], bool
     Without this, Numba would inspect the types of all arrays in each call of the loop. That would take longer than one
     frame of a scenario.
     """
-    if isinstance(run_until_storyboard, Dispatcher) and run_until_storyboard.overloads:
-        types = (*map(typeof, arguments), int64, int64)
-        if types in run_until_storyboard.overloads:
-            compile_loop_kernels(*arguments[:6])
-            compiled: Any = run_until_storyboard.overloads[types]
-            return partial(compiled.entry_point, *arguments), True
+    # numba computes this key, which says the types of all arrays, much faster than their types.
+    fingerprint = compute_fingerprint(arguments)
+    compiled = _COMPILED_LOOPS.get(fingerprint)
+    if compiled is None and isinstance(run_until_storyboard, Dispatcher) and run_until_storyboard.overloads:
+        compiled = run_until_storyboard.overloads.get((*map(typeof, arguments), int64, int64))
+        if compiled is not None:
+            _COMPILED_LOOPS[fingerprint] = compiled
+    if compiled is not None:
+        compile_loop_kernels(*arguments[:6])
+        return partial(compiled.entry_point, *arguments), True
     return partial(run_scenarios, *arguments), False
 
 
