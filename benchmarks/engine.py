@@ -135,7 +135,8 @@ def rate(case: Case, size: int, patience: float) -> Rate:
     concretes = case.concretes(max(size, 100))
     chunks = [concretes[begin : begin + size] for begin in range(0, len(concretes) - size + 1, size)]
     with compile_at_once():
-        list(case.simulator().run(chunks[0]))
+        for _ in case.simulator().run(chunks[0]):
+            pass
     loop = numpy_loop()
     begun = time.perf_counter()
     simulator = case.simulator()
