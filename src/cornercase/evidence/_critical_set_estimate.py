@@ -44,8 +44,8 @@ from cornercase.study._criterion import Criterion
 _JOINT_POINTS: Final = 1000
 # Added to the standard deviation of outcomes, so that some nearly certain points are sampled too.
 _MIN_DEVIATION: Final = 0.02
-# Least number, for intervals, of scenarios chosen independently of scores. How many of them are critical does not matter,
-# on the halves "train" of benchmarks/calibration.py and "choose" of benchmarks/intervals.py.
+# Least number, for intervals, of scenarios chosen independently of scores. How many of them are critical does not
+# matter, on the halves "train" of benchmarks/calibration.py and "choose" of benchmarks/intervals.py.
 _MIN_SCENARIOS: Final = 20
 # Weight of one prediction in the likelihood; below 1 because errors of neighbouring predictions are correlated. Chosen
 # on the halves "choose" of benchmarks/calibration.py and benchmarks/intervals.py.
