@@ -323,8 +323,13 @@ def test_where_too_little_was_chosen_blindly_no_interval_is_given_and_it_says_wh
     )
     none = CriticalSet(CUBE, points, scores, Criterion(-1.0))
     assert none.interval_unavailable is None
-    assert none.missed_interval_unavailable == "no critical scenario was found"
+    assert none.missed_interval_unavailable == "no critical scenario besides audits was run"
     assert (none.missed_fraction.value, none.missed_upper_bound()) == (1.0, 1.0)
+    # A single critical scenario is enough, also if the search chose it.
+    one = np.where(np.arange(64) == np.argmin(scores), scores, scores + 2.0)
+    found = CriticalSet(CUBE, points, one, Criterion(THRESHOLD), initial_design=one > THRESHOLD)
+    assert found.missed_interval_unavailable is None
+    assert 0.0 <= found.missed_fraction.low <= found.missed_fraction.high <= 1.0
     audits = np.random.default_rng(5).random((60, 3))
     both = (audits, two_regions(audits))
     assert (

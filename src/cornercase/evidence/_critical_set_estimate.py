@@ -315,7 +315,7 @@ class CriticalSet:
         """Reason why `missed_fraction` has no interval; None if it has one."""
         if self.interval_unavailable is not None or self._critical.any() or self.is_exhausted:
             return self.interval_unavailable
-        return "no critical scenario was found"
+        return "no critical scenario besides audits was run"
 
     @cached_property
     def critical_fraction(self) -> Estimate:

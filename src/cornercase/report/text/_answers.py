@@ -302,7 +302,8 @@ def _answer_missed(data: ReportData, critical: CriticalEstimates) -> Answer:
     elif estimates.missed_interval_unavailable is not None:
         sentences.append(f"{_describe_share(estimates.missed_fraction.value)} of the critical set.")
         sentences.append(f"There is no interval: {estimates.missed_interval_unavailable}.")
-    elif estimates.missed_fraction.low >= _NEARLY_ALL:
+    # As long as no prediction missed a critical scenario, the interval begins at 0 in any case.
+    elif estimates.missed_fraction.value >= _NEARLY_ALL and not 0.0 < estimates.missed_fraction.low < _NEARLY_ALL:
         # The share is one of volume, and single scenarios have no volume.
         subject = "one that was" if critical.n_critical == 1 else f"{critical.n_critical} that were"
         sentences.append(
