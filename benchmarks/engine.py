@@ -5,10 +5,10 @@
 
 Without a scenario it takes the X-intersection of the examples. NAME drives the entity ``Ego``; without one it is who
 the file names, and more rows compare the built-in ``normal`` with a plain driver of NumPy's such as users write
-(``own``), which Python asks in each time step. Each row is measured in a process of its own, which has run such a batch
-before with all kernels compiled, for S seconds of CPU at least; large batches are run once. ``first`` is what a new
-simulator needs there for one scenario: reading and preparing the file. Recordings are not kept. Memory is the most that
-the process held.
+(``own``), which Python asks in each time step. Each row is measured in a process of its own, which has run these
+scenarios before with all kernels compiled, for S seconds of CPU at least; large batches are run once. ``first`` is what
+a new simulator needs there for one scenario: reading and preparing the file. Recordings are not kept. Memory is the
+most that the process held.
 
 Beside it stands esmini's library, where ``CORNERCASE_ESMINI`` names it: the same concrete scenarios, one after the
 other, each loaded anew, stepped as often, nothing read of what happens, its own controllers switched off. It has no
@@ -135,8 +135,10 @@ def rate(case: Case, size: int, patience: float) -> Rate:
     concretes = case.concretes(max(size, 100))
     chunks = [concretes[begin : begin + size] for begin in range(0, len(concretes) - size + 1, size)]
     with compile_at_once():
-        for _ in case.simulator().run(chunks[0]):
-            pass
+        simulator = case.simulator()
+        for chunk in chunks:
+            for _ in simulator.run(chunk):
+                pass
     loop = numpy_loop()
     begun = time.perf_counter()
     simulator = case.simulator()
