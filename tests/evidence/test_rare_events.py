@@ -166,6 +166,33 @@ def test_scores_without_direction_are_drawn_from_the_distribution_itself():
     assert guided.next_stage == "learn"
 
 
+def decoy(points):
+    """In a small box at 0.75; elsewhere scores fall towards 0.2, where nothing is."""
+    away = np.linalg.norm(points - 0.2, axis=1) + 0.1
+    return np.where(np.abs(points - 0.75).max(axis=1) < 0.05, -0.1, away)
+
+
+def test_where_scores_lead_elsewhere_an_estimate_is_no_worse_than_plain_draws():
+    truth, runs, found = 1e-3, 4000, []
+    for seed in range(16):
+        estimate, sampling = estimated(space_of(3), decoy, runs, seed)
+        found.append((estimate.value / truth, sampling.is_plain_after_learning))
+        if sampling.is_plain_after_learning:
+            points = sampling.draw_round(2000)
+            assert sampling.importance_weights(points).tolist() == [1.0] * 2000
+            assert np.abs(points.mean(axis=0) - 0.5).max() < 0.03
+    ratios, plain = map(np.array, zip(*found, strict=True))
+    assert 4 < plain.sum() < 16
+    # Without plain draws, the error is three times as large as this.
+    assert np.sqrt(np.mean((ratios - 1.0) ** 2)) < 1.4 * np.sqrt(1.0 / (truth * runs))
+
+
+def test_scores_that_lead_to_the_event_are_trusted():
+    for seed in range(4):
+        for score in (two_tails, lambda points: points[:, 0] - 0.3, lambda points: np.abs(points - 0.9).max(1) - 0.03):
+            assert not estimated(space_of(3), score, 2000, seed)[1].is_plain_after_learning
+
+
 @pytest.mark.parametrize("seeds", at_night([1, 4], {4}))
 def test_ten_dimensions_are_told_too(seeds):
     def score(points):

@@ -111,6 +111,40 @@ class Touching(Synthetic):
             yield replace(one, collisions=(Collision(1.0, ("Ego", "B")),)) if near else one
 
 
+class Elsewhere(Synthetic):
+    """Ego and B collide if they are 6 to 6.3 m apart."""
+
+    def run(self, concretes):
+        for one in super().run(concretes):
+            collides = isinstance(one, Recording) and 6.0 < abs(one.x[1, 0] - one.x[0, 0]) < 6.3
+            yield replace(one, collisions=(Collision(1.0, ("Ego", "B")),)) if collides else one
+
+
+def test_if_scores_lead_elsewhere_plain_draws_count_and_it_is_said(tmp_path):
+    def run(budget, simulator):
+        with opened(tmp_path / "e.db") as study:
+            configuration = ExplorationConfig(
+                LOGICAL, ego="Ego", other="B", metrics=("distance",), optimizer="random", critical=-1.0, budget=budget,
+                seed=3,
+            )  # fmt: skip
+            sampling = ImportanceSampling(LOGICAL.space, 2, 320, 3)
+            return ProbabilityEstimator(configuration, simulator, sampling, study, 1.0).run(), study.read_analysis(
+                "estimate"
+            )[0]["weights"]
+
+    found, weights = run(800, Elsewhere())
+    assert found.critical.met == 0
+    assert found.n_learning < 320
+    assert weights.tolist() == [1.0] * (800 - found.n_learning)
+    drawn = found.collision.scenarios
+    assert found.collision == probability_from_counts(found.collision.met, drawn)
+    assert drawn == 800 - found.n_learning
+    assert found.collision.low <= share_within(0.63) - share_within(0.6) <= found.collision.high
+    assert any(warning.startswith("What was learned met critical scenarios and") for warning in found.warnings)
+    assert any(f"The {drawn} scenarios drawn from the distributions" in warning for warning in found.warnings)
+    assert run(1200, Elsewhere())[0].collision.scenarios == drawn + 400
+
+
 @pytest.mark.parametrize(
     ("event", "uncounted", "said"),
     [

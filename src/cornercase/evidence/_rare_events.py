@@ -30,6 +30,10 @@ _FINAL_PLAIN_FRACTION, _FINAL_EARLIER_FRACTION = 0.05, 0.2
 _MANY_DIMENSIONS = 8
 _LINEAR_FRACTION, _FINAL_LINEAR_FRACTION, _DISTANCE_SCENARIOS = 0.25, 0.1, 10
 _MAX_VALUES_WITHOUT_DIRECTION: Final = 2
+# Least number of rounds after the first before scores are judged by what they lead to: once an event has occurred, and
+# before that. In the second case they mislead if the later half of the rounds makes less than a fraction of the
+# progress.
+_MIN_ROUNDS_WITH_EVENT, _MIN_ROUNDS_WITHOUT_EVENT, _MIN_PROGRESS = 4, 8, 0.05
 _CANDIDATES: Final = 20_000
 _N_CONSTRAINT_DRAWS: Final = 20_000
 _MAX_TRIES: Final = 10_000
@@ -51,7 +55,9 @@ class ImportanceSampling:
     depend only on the arguments and the recorded results.
 
     Scores that take no more than two values give no direction towards an event. If the first round has such scores, and
-    there is no first guess, all scenarios follow the distribution of the parameters (plain Monte Carlo).
+    there is no first guess, all scenarios follow the distribution of the parameters (plain Monte Carlo). Scores may
+    also mislead. If the proposals meet the events no more often than the distribution of the parameters does,
+    the proposal is frozen as this distribution.
 
     `n_events` is the number of kinds of event whose probability is estimated; each round is divided among them.
     `max_learning_scenarios` is the greatest number of scenarios before the proposal is frozen. `initial_proposal` is an
@@ -90,6 +96,11 @@ class ImportanceSampling:
         This happens if the scores take too few values to show in which direction an event lies.
         """
         return self._is_plain
+
+    @property
+    def is_plain_after_learning(self) -> bool:
+        """True if the frozen proposal is the distribution of the parameters, because the scores mislead."""
+        return self._frozen and self._proposal is self._plain_distribution
 
     def draw_round(self, max_count: int) -> FloatArray:
         """Draw a round of at most `max_count` scenarios within the constraints, (n, d) in the unit cube.
@@ -133,6 +144,8 @@ class ImportanceSampling:
         A weight is the density of the parameters' distribution over the density of the proposal, both within the
         constraints.
         """
+        if self.is_plain_after_learning:
+            return np.ones(len(points))
         normal = _to_standard_normal(points)
         factor, _ = self._estimate_constraint_factor()
         return np.asarray(
@@ -153,7 +166,7 @@ class ImportanceSampling:
         The factor is the fraction of the proposal within the constraints over the same fraction of the parameters'
         distribution.
         """
-        if not self._space.declarations:
+        if self.is_plain_after_learning or not self._space.declarations:
             return 1.0, 0.0
         if self._factor is None:
             rng = np.random.default_rng((self._seed, 1))
@@ -173,6 +186,10 @@ class ImportanceSampling:
         proposals = [np.log(n / count) + mixture.log_density(self._points) for n, mixture in self._drawn]
         log_weights = self._plain_distribution.log_density(self._points) - np.logaddexp.reduce(proposals, axis=0)
         weights = np.exp(log_weights - log_weights.max())
+        is_last = count + self._size > self._learn
+        if self._scores_mislead(weights, is_last):
+            self._proposal, self._frozen = self._plain_distribution, True
+            return
         rng = np.random.default_rng((self._seed, 2, self._rounds))
         fitted, linear, ready = [], list[TMixture](), True
         for event in range(self._events):
@@ -183,7 +200,7 @@ class ImportanceSampling:
         new = TMixture.from_parts(fitted)
         self._ready = self._ready + 1 if ready else 0
         # Two rounds in a row, so that the last fit includes scenarios of a proposal at the event.
-        if self._ready >= 2 or count + self._size > self._learn:
+        if self._ready >= 2 or is_last:
             earlier = [(_FINAL_EARLIER_FRACTION / len(self._earlier), mixture) for mixture in self._earlier]
             wide = [(_FINAL_WIDE_FRACTION / len(_WIDE_DEVIATIONS), mixture) for mixture in self._wide]
             others = [
@@ -204,6 +221,24 @@ class ImportanceSampling:
         rest = 1.0 - sum(share for share, _ in others)
         self._proposal = TMixture.from_parts([*((rest / len(parts), part) for part in parts), *others])
         self._earlier.append(new)
+
+    def _scores_mislead(self, weights: FloatArray, is_last: bool) -> bool:
+        """Return whether the scores lead to other scenarios than those in which the events occur.
+
+        This is so if the rounds after the first met no event more often than its estimated probability. If no event has
+        occurred, it is so if the scores hardly got any lower before the last round. `weights` are those of all
+        scenarios.
+        """
+        if self._rounds < _MIN_ROUNDS_WITH_EVENT:
+            return False
+        n_first, met = self._drawn[0][0], self._met[:, self._met.any(axis=0)]
+        if met.size:
+            return bool((met[n_first:].mean(axis=0) <= weights @ met / weights.sum()).all())
+        first, first_half = (self._scores[:count] for count in (n_first, (n_first + len(met)) // 2))
+        if not is_last or self._rounds < _MIN_ROUNDS_WITHOUT_EVENT or not np.isfinite(first).any():
+            return False
+        begin, middle, end = np.nanmedian(first), np.nanmin(first_half), np.nanmin(self._scores)
+        return bool(middle - end <= _MIN_PROGRESS * (begin - end))
 
     def _fit_linear_model(self, event: int) -> list[TMixture]:
         """Fit a normal distribution around the point at which, by a linear model of the scores, an event is likeliest.

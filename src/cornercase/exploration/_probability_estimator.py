@@ -224,6 +224,8 @@ class ProbabilityEstimator:
             return probability_from_enumeration(
                 self._space.probabilities(points)[first_indices], event(outcomes)[first_indices], other_share
             )
+        if len(points) and self._sampling.is_plain_after_learning:
+            return probability_from_direct_draws(event(outcomes))
         if not len(points) or not event(outcomes).any():
             # Only the draws from the space's own distribution give a bound.
             _, outcomes = self._collect_points_and_outcomes("law")
@@ -247,18 +249,25 @@ class ProbabilityEstimator:
             if self._is_exhaustive
             else probability_from_direct_draws(law.has_encounter)
         )
-        warnings = [] if self._is_exhaustive else [
-            *describe_doubts(
-                "critical scenario", critical, probability_from_direct_draws(law.is_critical), n_counting,
-                int(uncounted.is_critical.sum()),
-            ),
-            *describe_doubts(
-                "collision", collision, probability_from_direct_draws(law.has_collision), n_counting,
-                int(uncounted.has_collision.sum()),
-            ),
-        ]  # fmt: skip
+        warnings = []
+        if not self._is_exhaustive:
+            direct_estimates = (
+                (critical, collision)
+                if self._sampling.is_plain_after_learning
+                else map(probability_from_direct_draws, (law.is_critical, law.has_collision))
+            )
+            for event, estimate, direct, occurred in zip(
+                ("critical scenario", "collision"),
+                (critical, collision),
+                direct_estimates,
+                (uncounted.is_critical, uncounted.has_collision),
+                strict=True,
+            ):
+                warnings += describe_doubts(event, estimate, direct, n_counting, int(occurred.sum()))
         if self._sampling.is_plain:
             warnings.insert(0, _NO_DIRECTION)
+        elif self._sampling.is_plain_after_learning:
+            warnings.insert(0, _WRONG_DIRECTION)
         if note := _explain_uniform_probabilities(self._study.meta.space):
             warnings.insert(0, note)
         if failed := int(all_outcomes.is_failed.sum()):
@@ -287,6 +296,11 @@ class ProbabilityEstimator:
 _NO_DIRECTION: Final = (
     "The scores take at most two values and do not show where critical scenarios are, so all scenarios were drawn from"
     " the distributions themselves (plain Monte Carlo). A metric that varies tells more with as many."
+)
+_WRONG_DIRECTION: Final = (
+    "What was learned met critical scenarios and collisions no more often than the distributions themselves, so all"
+    " scenarios that count were drawn from the distributions (plain Monte Carlo). If critical scenarios are rare,"
+    " another metric may tell more with as many."
 )
 
 
