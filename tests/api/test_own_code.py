@@ -131,6 +131,25 @@ def test_names_that_a_script_registers_are_known_in_workers(own, monkeypatch):
     assert np.array_equal(alone.x, in_worker.x)
 
 
+class Steady(cc.SystemUnderTest):
+    def __init__(self, speed=5.0):
+        self.speed = speed
+
+    def step(self, view, dt):
+        return self.speed - view.ego.speed
+
+
+def test_a_system_under_test_that_is_registered_drives_by_its_name(monkeypatch):
+    monkeypatch.setattr(DRIVERS, "_factories", dict(DRIVERS._factories))
+    DRIVERS.register("steady", f"{__name__}:Steady")
+    itself, named, sensing = (
+        cc.simulate(X, {"ego_start": 40.0}, drivers={"Ego": driver}, duration=2.0)
+        for driver in (Steady(8.0), "steady:speed=8", "steady:speed=8 + radar")
+    )
+    assert np.array_equal(itself.x, named.x)
+    assert np.array_equal(itself.speed, sensing.speed)
+
+
 def test_the_object_itself_measures(own, explored):
     metric = own["SpeedNearby"]()
     for scenario, score in explored.table()["speed-nearby"].items():

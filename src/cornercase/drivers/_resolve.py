@@ -104,7 +104,9 @@ def _create_registered(spec: str) -> Driver:
     name, equipment = split_spec(spec)
     if not is_registered_driver(name) and (hint := suggest_prefix(name)) is not None:
         raise InputError(f"There is no driver '{name}'; {hint}.")
-    return equip(DRIVERS.create(name), equipment)
+    driver: Driver | SystemUnderTest = DRIVERS.create(name)
+    # Other packages may register systems under test, too.
+    return equip(PerScenarioDriver(driver) if isinstance(driver, SystemUnderTest) else driver, equipment)
 
 
 def runs_program_or_file(name: str) -> bool:
