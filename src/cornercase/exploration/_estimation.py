@@ -76,10 +76,11 @@ class Estimation:
     probabilities come from different scenarios, they may contradict each other slightly, within their intervals.
     `table` lists the method by which each probability was estimated.
 
-    There are three exceptions. The probability of an event that occurs in none of the later scenarios is its fraction
-    of the first scenarios. If the budget covers all scenarios of a small space, all are run, and the probabilities are
+    There are four exceptions. The probability of an event that occurs in none of the later scenarios is its fraction of
+    the first scenarios. If the budget covers all scenarios of a small space, all are run, and the probabilities are
     exact. If the explored study shows too little, and the first scenarios have at most two different scores, all
-    scenarios are drawn from the distributions themselves.
+    scenarios are drawn from the distributions themselves. If what was learned meets the events no more often than the
+    distributions do, the later scenarios are drawn from the distributions, too, and have a weight of 1.
 
     Attributes
     ----------
