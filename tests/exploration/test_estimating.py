@@ -200,6 +200,16 @@ def test_a_larger_budget_adds_to_what_is_there(tmp_path):
     assert second.critical.error < first.critical.error
 
 
+def test_scenarios_of_another_sampling_are_refused_as_their_weights_would_be_wrong(tmp_path):
+    with opened(tmp_path / "e.db") as study:
+        estimator(study, budget=300, learn=200).run()
+        done = len(study.rows())
+    with opened(tmp_path / "e.db") as study:
+        with pytest.raises(InputError, match=r"e\.db: its round 10 was drawn by another version of cornercase or"):
+            estimator(study).run()
+        assert len(study.rows()) == done
+
+
 def test_of_a_small_space_all_is_run_and_nothing_is_unsure(tmp_path):
     space = ParameterSpace.from_ranges(["a=0:1:0.1", "b=0:1:0.1"])
     logical = replace(LOGICAL, space=space)

@@ -30,6 +30,8 @@ from cornercase.study import ScenarioRecord, StudyFile
 
 # Scenarios per round after learning.
 _ROUND_SIZE: Final = 500
+# Largest difference of a coordinate in the unit cube that is put down to rounding.
+_POINT_TOLERANCE: Final = 1e-6
 # Largest space that is listed, to check if the budget covers all scenarios within the constraints.
 _MAX_ENUMERATED_SPACE: Final = 100_000
 
@@ -131,7 +133,9 @@ class ProbabilityEstimator:
     def _run_rounds(self, bar: ProgressBar | None, check_interrupt: Callable[[], None]) -> None:
         rows = self._study.rows()
         for _, members in groupby(rows, key=lambda row: row.round):
-            self._run_round(list(members), bar)
+            stored = list(members)
+            self._check_draws(stored)
+            self._run_round(stored, bar)
         done, number = len(rows), rows[-1].round if rows else 0
         while True:
             check_interrupt()
@@ -147,6 +151,20 @@ class ProbabilityEstimator:
             self._run_round(new, bar)
             done += len(new)
             self._clock.save_times()
+
+    def _check_draws(self, rows: Sequence[ScenarioRecord]) -> None:
+        """Raise `InputError` if the scenarios of a stored round are not those that the sampling draws.
+
+        Their weights would be wrong.
+        """
+        if self._is_exhaustive:
+            return
+        stored, drawn = np.array([row.point for row in rows]), self._sampling.draw_round(len(rows))
+        if stored.shape != drawn.shape or np.abs(stored - drawn).max() > _POINT_TOLERANCE:
+            raise InputError(
+                f"{self._study.path}: its round {rows[0].round} was drawn by another version of cornercase or of its"
+                " libraries; write the estimate to another file."
+            )
 
     def _next_points(self, n_done: int) -> FloatArray:
         """Return the points of the next round; empty if there is no further round."""
