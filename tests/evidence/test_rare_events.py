@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.special import ndtri
-from scipy.stats import binom, norm
+from scipy.stats import binom, chi2, norm
 
 from conftest import at_night
 from cornercase.evidence._mixture import TMixture
@@ -191,6 +191,22 @@ def test_scores_that_lead_to_the_event_are_trusted():
     for seed in range(4):
         for score in (two_tails, lambda points: points[:, 0] - 0.3, lambda points: np.abs(points - 0.9).max(1) - 0.03):
             assert not estimated(space_of(3), score, 2000, seed)[1].is_plain_after_learning
+
+
+def test_a_frequent_event_does_not_end_the_search_for_a_rare_one():
+    """The score leads to both, a large ball and a tiny one within it."""
+    reaches = np.sqrt(chi2.ppf([0.95, 1e-4], 3))
+    for seed in range(3):
+        sampling, spent = ImportanceSampling(space_of(3), 2, 800, seed), 0
+        while sampling.next_stage != "estimate":
+            points = sampling.draw_round(2000)
+            scores = np.linalg.norm(ndtri(np.clip(points, 1e-16, 1 - 2e-16)), axis=1)
+            sampling.record_round(points, scores, scores[:, None] <= reaches)
+            spent += len(points)
+        points = sampling.draw_round(2000 - spent)
+        scores = np.linalg.norm(ndtri(np.clip(points, 1e-16, 1 - 2e-16)), axis=1)
+        found = probability_from_weights(sampling.importance_weights(points), scores <= reaches[1])
+        assert found.value == pytest.approx(1e-4, rel=0.5)
 
 
 @pytest.mark.parametrize("seeds", at_night([1, 4], {4}))

@@ -120,7 +120,10 @@ class Elsewhere(Synthetic):
             yield replace(one, collisions=(Collision(1.0, ("Ego", "B")),)) if collides else one
 
 
-def test_if_scores_lead_elsewhere_plain_draws_count_and_it_is_said(tmp_path):
+def test_if_scores_mislead_plain_draws_count_and_it_is_said(tmp_path, monkeypatch):
+    # When they do is tested with the sampling.
+    monkeypatch.setattr(ImportanceSampling, "_scores_mislead", lambda sampling, *_: sampling._rounds >= 4)
+
     def run(budget, simulator):
         with opened(tmp_path / "e.db") as study:
             configuration = ExplorationConfig(

@@ -30,10 +30,10 @@ _FINAL_PLAIN_FRACTION, _FINAL_EARLIER_FRACTION = 0.05, 0.2
 _MANY_DIMENSIONS = 8
 _LINEAR_FRACTION, _FINAL_LINEAR_FRACTION, _DISTANCE_SCENARIOS = 0.25, 0.1, 10
 _MAX_VALUES_WITHOUT_DIRECTION: Final = 2
-# Least number of rounds after the first before scores are judged by what they lead to: once an event has occurred, and
-# before that. In the second case they mislead if the later half of the rounds makes less than a fraction of the
-# progress.
-_MIN_ROUNDS_WITH_EVENT, _MIN_ROUNDS_WITHOUT_EVENT, _MIN_PROGRESS = 4, 8, 0.05
+# Least number of rounds after the first before scores are judged by the events that they lead to. While no event has
+# occurred, they are judged from a number of learning scenarios on: with fewer, a search that is nearly at the event
+# looks the same. They mislead if the later half of the scenarios makes less than a fraction of the progress.
+_MIN_ROUNDS_WITH_EVENT, _MIN_SCENARIOS_WITHOUT_EVENT, _MIN_PROGRESS = 4, 800, 0.05
 _CANDIDATES: Final = 20_000
 _N_CONSTRAINT_DRAWS: Final = 20_000
 _MAX_TRIES: Final = 10_000
@@ -225,19 +225,20 @@ class ImportanceSampling:
     def _scores_mislead(self, weights: FloatArray, is_last: bool) -> bool:
         """Return whether the scores lead to other scenarios than those in which the events occur.
 
-        This is so if the rounds after the first met no event more often than its estimated probability. If no event has
-        occurred, it is so if the scores hardly got any lower before the last round. `weights` are those of all
-        scenarios.
+        This is so if the rounds after the first met each event no more often than its estimated probability. If no
+        event has occurred, it is so if the scores hardly got any lower before the last round. While some events have
+        occurred and others have not, nothing is known of the others. `weights` are those of all scenarios.
         """
         if self._rounds < _MIN_ROUNDS_WITH_EVENT:
             return False
-        n_first, met = self._drawn[0][0], self._met[:, self._met.any(axis=0)]
-        if met.size:
-            return bool((met[n_first:].mean(axis=0) <= weights @ met / weights.sum()).all())
+        n_first, met, has_occurred = self._drawn[0][0], self._met, self._met.any(axis=0)
+        if has_occurred.any():
+            is_no_better = met[n_first:].mean(axis=0) <= weights @ met / weights.sum()
+            return bool((has_occurred & is_no_better).all())
         first, first_half = (self._scores[:count] for count in (n_first, (n_first + len(met)) // 2))
-        if not is_last or self._rounds < _MIN_ROUNDS_WITHOUT_EVENT or not np.isfinite(first).any():
+        if not is_last or self._learn < _MIN_SCENARIOS_WITHOUT_EVENT or not np.isfinite(first).any():
             return False
-        begin, middle, end = np.nanmedian(first), np.nanmin(first_half), np.nanmin(self._scores)
+        begin, middle, end = np.median(first[np.isfinite(first)]), np.nanmin(first_half), np.nanmin(self._scores)
         return bool(middle - end <= _MIN_PROGRESS * (begin - end))
 
     def _fit_linear_model(self, event: int) -> list[TMixture]:

@@ -258,7 +258,10 @@ class ProbabilityEstimator:
         _, all_outcomes = self._collect_points_and_outcomes("law", "learn", "estimate", "whole")
         # Plain draws count for the estimate, even those of the first round.
         _, learned = self._collect_points_and_outcomes(*(() if self._sampling.is_plain else ("law", "learn")))
-        _, uncounted = self._collect_points_and_outcomes("learn")
+        # Beside a proposal, the first draws count as the bound of an event that none of its draws met.
+        _, uncounted = self._collect_points_and_outcomes(
+            *(("law", "learn") if self._sampling.is_plain_after_learning else ("learn",))
+        )
         n_counting = len(all_outcomes.scores) - len(uncounted.scores)
         critical = self._estimate_probability(lambda outcomes: outcomes.is_critical)
         collision = self._estimate_probability(lambda outcomes: outcomes.has_collision)
