@@ -22,17 +22,17 @@ def space_of(dimension):
     return ParameterSpace.from_ranges([f"x{axis}=0:1" for axis in range(dimension)])
 
 
-def estimated(space, score, runs, seed, guess=None):
-    """Probability that the score is at most 0, from this many runs."""
-    sampling, spent = ImportanceSampling(space, 1, int(0.4 * runs), seed, guess), 0
+def estimated(space, score, runs, seed, guess=None, limits=(0.0,)):
+    """Probability that the score is at most the last limit, from this many runs; each limit is that of an event."""
+    sampling, spent = ImportanceSampling(space, len(limits), int(0.4 * runs), seed, guess), 0
     while sampling.next_stage != "estimate":
         points = sampling.draw_round(runs)
         scores = score(points)
-        sampling.record_round(points, scores, (scores <= 0.0)[:, None])
+        sampling.record_round(points, scores, scores[:, None] <= np.array(limits))
         spent += len(points)
     points = sampling.draw_round(runs - spent)
     return probability_from_weights(
-        sampling.importance_weights(points), score(points) <= 0.0, sampling.common_weight_error
+        sampling.importance_weights(points), score(points) <= limits[-1], sampling.common_weight_error
     ), sampling
 
 
@@ -196,16 +196,12 @@ def test_scores_that_lead_to_the_event_are_trusted():
 def test_a_frequent_event_does_not_end_the_search_for_a_rare_one():
     """The score leads to both, a large ball and a tiny one within it."""
     reaches = np.sqrt(chi2.ppf([0.95, 1e-4], 3))
+
+    def score(points):
+        return np.linalg.norm(ndtri(np.clip(points, 1e-16, 1 - 2e-16)), axis=1)
+
     for seed in range(3):
-        sampling, spent = ImportanceSampling(space_of(3), 2, 800, seed), 0
-        while sampling.next_stage != "estimate":
-            points = sampling.draw_round(2000)
-            scores = np.linalg.norm(ndtri(np.clip(points, 1e-16, 1 - 2e-16)), axis=1)
-            sampling.record_round(points, scores, scores[:, None] <= reaches)
-            spent += len(points)
-        points = sampling.draw_round(2000 - spent)
-        scores = np.linalg.norm(ndtri(np.clip(points, 1e-16, 1 - 2e-16)), axis=1)
-        found = probability_from_weights(sampling.importance_weights(points), scores <= reaches[1])
+        found, _ = estimated(space_of(3), score, 2000, seed, limits=reaches)
         assert found.value == pytest.approx(1e-4, rel=0.5)
 
 

@@ -21,6 +21,7 @@ from cornercase.exploration._probability_estimator import ProbabilityEstimator
 from cornercase.optimizers import OPTIMIZERS
 from cornercase.recordings import Collision, Recording
 from cornercase.report._report_data import read_report_data
+from cornercase.report.html._probability_section import render_probability
 from cornercase.report.text._answers import page_answers
 from cornercase.scenario import Constraint, LogicalScenario, ParameterDeclaration, ParameterSpace
 from cornercase.study import StudyFile
@@ -145,6 +146,9 @@ def test_if_scores_mislead_plain_draws_count_and_it_is_said(tmp_path, monkeypatc
     assert found.collision.low <= share_within(0.63) - share_within(0.6) <= found.collision.high
     assert any(warning.startswith("What was learned met critical scenarios and") for warning in found.warnings)
     assert any(f"The {drawn} scenarios drawn from the distributions" in warning for warning in found.warnings)
+    (section,) = render_probability(report_data(tmp_path / "e.db"))
+    learned = f"{found.n_learning} of the 800 scenarios were run only to learn where to draw. So the share of the"
+    assert learned in section.html
     assert run(1200, Elsewhere())[0].collision.scenarios == drawn + 400
 
 

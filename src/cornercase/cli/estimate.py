@@ -36,7 +36,8 @@ def estimate(
     """Estimate how probable critical scenarios and collisions are.
 
     New scenarios are drawn mainly where critical scenarios are frequent, and weighted by the distributions of the
-    parameters. Run the same command again to resume.
+    parameters. If the scores do not lead there, they are drawn from these distributions. Run the same command again to
+    resume.
 
     \b
     Example:

@@ -144,8 +144,6 @@ class ImportanceSampling:
         A weight is the density of the parameters' distribution over the density of the proposal, both within the
         constraints.
         """
-        if self.is_plain_after_learning:
-            return np.ones(len(points))
         normal = _to_standard_normal(points)
         factor, _ = self._estimate_constraint_factor()
         return np.asarray(

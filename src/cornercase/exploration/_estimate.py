@@ -62,7 +62,8 @@ def estimate(
 
     New scenarios are run with the study's simulator and settings, and stored in a separate study. First, a sampling
     distribution is learned in several rounds, starting from the results of the explored study. Then scenarios are drawn
-    independently from this distribution; they give an unbiased estimate. If you call `estimate` again with the same
+    independently from this distribution, or from those of the space if it leads to no more events; they give an
+    unbiased estimate. If you call `estimate` again with the same
     arguments, the estimate is resumed; with a larger `budget` it continues.
 
     Parameters

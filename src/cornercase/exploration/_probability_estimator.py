@@ -258,7 +258,7 @@ class ProbabilityEstimator:
         _, all_outcomes = self._collect_points_and_outcomes("law", "learn", "estimate", "whole")
         # Plain draws count for the estimate, even those of the first round.
         _, learned = self._collect_points_and_outcomes(*(() if self._sampling.is_plain else ("law", "learn")))
-        # Beside a proposal, the first draws count as the bound of an event that none of its draws met.
+        # Usually the first draws count, as they bound the probability of an event that no later draw met.
         _, uncounted = self._collect_points_and_outcomes(
             *(("law", "learn") if self._sampling.is_plain_after_learning else ("learn",))
         )

@@ -69,12 +69,13 @@ def _describe_certainty(estimate: Mapping[str, Any]) -> Iterator[str]:
         " scenarios met the event effectively, the less it can be trusted."
     )
     yield from estimate["warnings"] or ["No warning: enough scenarios met each event, and none of them dominates."]
-    if any("importance" in str(event.get("method")) for event in events):
-        learned = estimate.get("to learn where to draw", 0)
+    if learned := estimate.get("to learn where to draw"):
+        is_weighted = any("importance" in str(event.get("method")) for event in events)
+        weighted = " The others were drawn where critical ones are frequent, and each has a weight."
         yield (
-            f"{learned} of the {estimate['scenarios']} scenarios were run only to learn where to draw. The others were"
-            " drawn where critical ones are frequent, and each has a weight. So the share of the scenarios on this page"
-            " that collide is not the probability."
+            f"{learned} of the {estimate['scenarios']} scenarios were run only to learn where to draw."
+            f"{weighted if is_weighted else ''} So the share of the scenarios on this page that collide is not the"
+            " probability."
         )
 
 
